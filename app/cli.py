@@ -27,6 +27,7 @@ COMMANDS = {
     "watch": "send every recording that comes into a folder to a service, once",
     "evaluate": "measure the diagnoses of a catalogue on recordings it has not seen",
     "keys": "make, list and take back keys to the HTTP interface",
+    "prune": "delete what a service keeps no longer, or say what that is",
     "backup": "copy everything a service keeps, while it works",
     "restore": "bring such a copy to where a service is to find it",
     "serve": "serve the HTTP interface and the web page",

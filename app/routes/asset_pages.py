@@ -249,7 +249,7 @@ def past(service: Service, external_id: str, cursor: str | None) -> dict[str, An
     diagnoses, following = paging.cut(rows, SHOWN)
     used = {key for each in diagnoses for key in each.measurements}
     among = select(MeasurementRow.id).where(MeasurementRow.id.in_(used))
-    measurements = {each.id: each for each in store.measurements(None, len(used), among)}
+    measurements = {each.id: each for each in store.measurements(None, len(used), among, gone=True)}
     own = store.measurements(None, SHOWN, measurements_of(external_id))
     own.sort(key=lambda each: (each.measured_at, each.number), reverse=True)
     recordings = [each for each in own if each.summary.get("kind") != "spectrum"]  # which is no baseline

@@ -17,6 +17,7 @@ from jointplay.app.schemas.assets import EXTERNAL_ID, AssetIn, FindingIn
 from jointplay.app.storage.audit import note
 from jointplay.app.storage.database import ServiceDatabase
 from jointplay.app.storage.rows import Base, DiagnosisRow, newest, now
+from jointplay.app.storage.tombstones import missing
 from jointplay.app.storage.webhooks import announce
 from jointplay.catalogue.following.standing import Known, Patience, Reason, judge
 
@@ -184,14 +185,21 @@ class Assets:
         ------
         UnknownAssetError
             When there is none of this id.
+        DeletedError
+            When it was deleted.
         """
-        row = None
-        if re.fullmatch(EXTERNAL_ID, external_id):  # what can be no id does not reach the database
-            with self._database.reading() as session:
-                row = session.scalar(select(AssetRow).where(AssetRow.external_id == external_id))
+        row = self.known(external_id)
         if row is None:
-            raise UnknownAssetError(f"asset {external_id[:80]}: there is none of this id", field="asset")
+            unknown = UnknownAssetError(f"asset {external_id[:80]}: there is none of this id", field="asset")
+            raise missing(self._database, "asset", external_id, unknown)
         return row
+
+    def known(self, external_id: str) -> AssetRow | None:
+        """Return an asset; None where there is none of this id."""
+        if not re.fullmatch(EXTERNAL_ID, external_id):  # what can be no id does not reach the database
+            return None
+        with self._database.reading() as session:
+            return session.scalar(select(AssetRow).where(AssetRow.external_id == external_id))
 
     def page(
         self, before: int | None, limit: int, state: str | None = None, search: str | None = None
@@ -292,10 +300,13 @@ class Assets:
         ------
         UnknownFindingError
             When there is none of this id.
+        DeletedError
+            When it was deleted.
         """
         row = self._database.find(FindingRow, key)
         if row is None:
-            raise UnknownFindingError(f"finding {key[:80]}: there is none of this id")
+            unknown = UnknownFindingError(f"finding {key[:80]}: there is none of this id")
+            raise missing(self._database, "finding", key, unknown)
         return row
 
     def findings_of_machine(self, machine: str, limit: int) -> list[FindingRow]:

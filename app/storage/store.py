@@ -7,8 +7,8 @@ import json
 import os
 import tempfile
 import time
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -18,12 +18,15 @@ from sqlalchemy import Select, select, text
 from sqlalchemy.engine import URL
 from sqlalchemy.orm import Session
 
-from jointplay.app.errors import NotReadyError, UnknownDiagnosisError, UnknownMeasurementError
+from jointplay.app.actor import actor
+from jointplay.app.errors import AppError, BusyError, NotReadyError, UnknownDiagnosisError, UnknownMeasurementError
 from jointplay.app.storage import audit
 from jointplay.app.storage.assets import touch_owners
 from jointplay.app.storage.database import ServiceDatabase, database_url
+from jointplay.app.storage.retention import Quotas, RetentionRow
 from jointplay.app.storage.rows import Base, DiagnosisRow, MeasurementRow, MomentSource, Row, newest, now
 from jointplay.app.storage.told import Told
+from jointplay.app.storage.tombstones import TombstoneRow, deleted, dig_up, missing, refuse_deleted
 from jointplay.catalogue.diagnosing.answer import Diagnosis
 from jointplay.catalogue.storage.directory import sync_folder
 
@@ -33,8 +36,14 @@ PARTIAL = "partial-"
 RECORDINGS = "measurements"
 """Folder of uploads."""
 
+SIGNALS = "signals"
+"""Folder of the samples of recordings that were read."""
+
 ABANDONED_S = 86_400.0
 """Age from which on nobody is sending it any more."""
+
+FILES_LOCK = 7_264_917_003_120
+"""Key of PostgreSQL's advisory lock that whoever deletes files holds alone, and whoever names them holds in common."""
 
 
 @dataclass(frozen=True)
@@ -101,6 +110,8 @@ class Store:
         Made when missing.
     url : str
         The database; by default a file of SQLite in the directory.
+    quotas : Quotas, optional
+        How much may be stored; as much as there is space for by default.
 
     Attributes
     ----------
@@ -113,11 +124,11 @@ class Store:
         When the tables in the database are those of another version of the program.
     """
 
-    def __init__(self, directory: Path, url: str = "") -> None:
-        self._directory = directory
+    def __init__(self, directory: Path, url: str = "", quotas: Quotas | None = None) -> None:
+        self.directory = directory
+        self._quotas = quotas or Quotas()
         self._files = directory / RECORDINGS
         self._files.mkdir(parents=True, exist_ok=True)
-        self._tidy()
         file = URL.create("sqlite", database=str(directory / "service.sqlite"))
         self.database = ServiceDatabase(database_url(url) if url else file, Base.metadata)
         audit.attend(self.database)
@@ -189,8 +200,7 @@ class Store:
     def _name(self, upload: Upload) -> None:
         """Give an upload the name of its content, to the disk, before a row says that it is there.
 
-        A file that has this name is never deleted: another server may be about to store the same bytes. So bytes whose
-        row cannot be committed stay, too; they lie there for whoever sends them again.
+        Bytes whose row cannot be committed stay for a while: another server may be about to store the same.
         """
         target = self.path_of(upload.sha256)
         target.parent.mkdir(exist_ok=True)
@@ -202,16 +212,73 @@ class Store:
                 raise
         sync_folder(target.parent)
 
-    def _tidy(self) -> None:
-        """Delete what killed servers left of uploads; young ones may be on their way to another server."""
+    @contextmanager
+    def _named(self, upload: Upload) -> Iterator[None]:
+        """Give an upload the name of its content for a transaction; it goes again where that is refused."""
+        self._name(upload)
+        try:
+            yield
+        except AppError:
+            self.drop_files([upload.sha256])
+            raise
+
+    def partials(self) -> list[tuple[Path, int, float]]:
+        """Return uploads that are on their way, or that killed servers left: path, size, seconds since they grew."""
+        found = []
         for path in self._files.glob(f"{PARTIAL}*"):
             with suppress(FileNotFoundError):
-                if path.stat().st_mtime < time.time() - ABANDONED_S:
-                    path.unlink()
+                facts = path.stat()
+                found.append((path, facts.st_size, time.time() - facts.st_mtime))
+        return found
+
+    def orphans(self, age_s: float) -> Iterator[tuple[str, int]]:
+        """Give checksums and sizes of files that no recording is of: a server died, or somebody deletes right now.
+
+        Parameters
+        ----------
+        age_s : float
+            Younger ones may be of a row that is on its way.
+        """
+        for folder in sorted(self._files.iterdir()):
+            if len(folder.name) != 2 or not folder.is_dir():
+                continue
+            sizes = {}
+            for path in folder.iterdir():
+                with suppress(FileNotFoundError):
+                    facts = path.lstat()
+                    if len(path.name) == 64 and facts.st_mtime < time.time() - age_s:  # the others are not ours
+                        sizes[path.name] = facts.st_size
+            with self._session() as session:
+                spoken = self._spoken_of(session, sizes)
+            yield from ((sha256, size) for sha256, size in sizes.items() if sha256 not in spoken)
+
+    def drop_files(self, checksums: Collection[str]) -> None:
+        """Delete the files that no recording is of any more, of some checksums."""
+        if not checksums:
+            return
+        with self.database.writing() as session:
+            self._lock_files(session, alone=True)
+            for sha256 in set(checksums) - self._spoken_of(session, checksums):
+                self.path_of(sha256).unlink(missing_ok=True)
+
+    def drop_samples(self, key: str) -> None:
+        """Delete the samples that were read of a measurement."""
+        for ending in ("npy", "json"):
+            (self.directory / SIGNALS / f"{key}.{ending}").unlink(missing_ok=True)
+
+    def _spoken_of(self, session: Session, checksums: Collection[str]) -> set[str]:
+        query = select(MeasurementRow.sha256).where(MeasurementRow.id.not_in(deleted("measurement")))
+        return set(session.scalars(query.where(MeasurementRow.sha256.in_(list(checksums)))))
+
+    def _lock_files(self, session: Session, *, alone: bool) -> None:
+        """Keep whoever deletes files from those that a row is about to speak of; SQLite has one writer anyway."""
+        if not self.database.is_sqlite:
+            how = "" if alone else "_shared"
+            session.execute(text(f"SELECT pg_advisory_xact_lock{how}(:key)"), {"key": FILES_LOCK})
 
     def path_of(self, sha256: str) -> Path:
         """Return where the bytes with this checksum lie."""
-        return recording_path(self._directory, sha256)
+        return recording_path(self.directory, sha256)
 
     def settle(self, upload: Upload) -> None:
         """Delete an upload, unless it became a measurement."""
@@ -238,9 +305,15 @@ class Store:
             As in :class:`MeasurementRow`, with ``measured_at`` besides: what the file says, in ISO 8601.
         also : callable, optional
             Called with the id in the same transaction.
+
+        Raises
+        ------
+        QuotaError
+            When it is more than may be stored.
+        BusyError
+            When the same bytes were deleted at this moment.
         """
-        self._name(upload)
-        with self.database.writing() as session:
+        with self._named(upload), self.database.writing() as session:
             kept = self._put_measurement(session, upload, name, told or Told(), summary)
             if also is not None:
                 also(session, kept.id)
@@ -250,8 +323,7 @@ class Store:
         self, upload: Upload, name: str, told: Told, summary: Mapping[str, Any], diagnosis: NewDiagnosis
     ) -> DiagnosisRow:
         """Store a measurement and a diagnosis of it in one transaction, as one call after the other would."""
-        self._name(upload)
-        with self.database.writing() as session:
+        with self._named(upload), self.database.writing() as session:
             self._put_measurement(session, upload, name, told, summary)
             kept = self._put_diagnosis(session, diagnosis)
         return kept
@@ -259,6 +331,9 @@ class Store:
     def _put_measurement(
         self, session: Session, upload: Upload, name: str, told: Told, summary: Mapping[str, Any]
     ) -> MeasurementRow:
+        self._lock_files(session, alone=False)
+        if not self.path_of(upload.sha256).is_file():
+            raise BusyError("the same bytes were deleted at this moment; send them again")
         held = dict(summary)
         received, in_file = now(), held.pop("measured_at", None)
         moment = told.measured_at or (datetime.fromisoformat(in_file) if in_file else received)
@@ -275,6 +350,17 @@ class Store:
             "measured_at_source": source,
         }
         kept, new = self._put(session, MeasurementRow, row)
+        if not new and dig_up(session, "measurement", kept.id):  # what was deleted is there again, as it is sent now
+            for name_of, value in row.items():
+                setattr(kept, name_of, value)
+            session.flush()
+            touch_owners(session, kept.id)
+            new = True
+        if new:
+            if (by := actor().key) is not None:
+                session.merge(RetentionRow(measurement=kept.id, said=None, hold=None, changed_by="", stored_by=by))
+                session.flush()
+            self._quotas.take(session, upload.size)
         is_first_told = source == "file" and kept.measured_at_source == "received"
         if new:
             audit.note(session, "made", "measurement", kept.id, after=about_measurement(kept))
@@ -297,11 +383,26 @@ class Store:
         ------
         UnknownMeasurementError
             When there is none of this id.
+        DeletedError
+            When it was deleted.
         """
         row = self.database.find(MeasurementRow, key)
         if row is None:
             raise UnknownMeasurementError(f"measurement {key[:80]}: there is none of this id", field="measurement")
+        with self._session() as session:
+            refuse_deleted(session, "measurement", [key])
         return row
+
+    def measurement_of(self, diagnosis: DiagnosisRow) -> MeasurementRow:
+        """Return the measurement of a diagnosis, of several the first; also when it was deleted."""
+        with self._session() as session:
+            return session.scalars(select(MeasurementRow).filter_by(id=diagnosis.measurement)).one()
+
+    def deleted_of(self, diagnosis: DiagnosisRow) -> list[str]:
+        """Return which of the measurements of a diagnosis were deleted."""
+        with self._session() as session:
+            gone = set(session.scalars(deleted("measurement").where(TombstoneRow.id.in_(diagnosis.measurements))))
+        return [key for key in diagnosis.measurements if key in gone]
 
     def correct_moment(self, key: str, measured_at: datetime) -> MeasurementRow:
         """Note when a stored measurement was made, as somebody says, and return it.
@@ -322,6 +423,7 @@ class Store:
     ) -> list[MeasurementRow]:
         """Return measurements of some ids that were made from a moment on, and before another, the first first."""
         query = select(MeasurementRow).where(MeasurementRow.id.in_(among), MeasurementRow.measured_at >= since)
+        query = query.where(MeasurementRow.id.not_in(deleted("measurement")))
         if until is not None:
             query = query.where(MeasurementRow.measured_at < until)
         with self._session() as session:
@@ -333,6 +435,7 @@ class Store:
             return self._put_diagnosis(session, diagnosis)
 
     def _put_diagnosis(self, session: Session, diagnosis: NewDiagnosis) -> DiagnosisRow:
+        refuse_deleted(session, "measurement", diagnosis.request.get("measurements") or [diagnosis.measurement])
         kept, new = self._put(session, DiagnosisRow, diagnosis.row())
         if new:
             told = {"measurements": list(kept.measurements), "catalogue": kept.catalogue, **kept.request}
@@ -349,10 +452,13 @@ class Store:
         ------
         UnknownDiagnosisError
             When there is none of this id.
+        DeletedError
+            When it was deleted.
         """
         row = self.database.find(DiagnosisRow, key)
         if row is None:
-            raise UnknownDiagnosisError(f"diagnosis {key[:80]}: there is none of this id")
+            unknown = UnknownDiagnosisError(f"diagnosis {key[:80]}: there is none of this id")
+            raise missing(self.database, "diagnosis", key, unknown)
         return row
 
     def diagnoses(
@@ -374,10 +480,25 @@ class Store:
                 query = query.where(DiagnosisRow.created_at >= since)
             return list(session.scalars(query))
 
-    def measurements(self, before: int | None, limit: int, among: Select[str] | None = None) -> list[MeasurementRow]:
-        """Return measurements, the newest first, from below a row number on; of the ids in a query, if there is one."""
+    def measurements(
+        self, before: int | None, limit: int, among: Select[str] | None = None, *, gone: bool = False
+    ) -> list[MeasurementRow]:
+        """Return measurements, the newest first, from below a row number on.
+
+        Parameters
+        ----------
+        before : int, optional
+        limit : int
+        among : Select, optional
+            Query for the ids that may occur.
+        gone : bool
+            Whether those that were deleted occur, too: diagnoses go on speaking of them.
+        """
         with self._session() as session:
-            return list(session.scalars(newest(session, MeasurementRow, before, limit, among)))
+            query = newest(session, MeasurementRow, before, limit, among)
+            if not gone:
+                query = query.where(MeasurementRow.id.not_in(deleted("measurement")))
+            return list(session.scalars(query))
 
 
 def correct(session: Session, row: MeasurementRow, moment: datetime, source: MomentSource) -> None:
