@@ -34,9 +34,10 @@ from jointplay.app.storage import webhooks
 from jointplay.app.storage.assets import AssetRow, Assets, measurements_of, touch_owners
 from jointplay.app.storage.build_queue import BuildQueue
 from jointplay.app.storage.machine_store import MachineStore
+from jointplay.app.storage.recording_files import SIGNALS
 from jointplay.app.storage.remembered import Remembered
 from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
-from jointplay.app.storage.store import SIGNALS, NewDiagnosis, Store, Upload, measurement_key
+from jointplay.app.storage.store import NewDiagnosis, Store, Upload, measurement_key
 from jointplay.app.storage.told import Told
 from jointplay.catalogue.diagnosing.answer import Diagnosis
 from jointplay.catalogue.diagnosing.question import MOST_TOGETHER
@@ -118,7 +119,7 @@ class Service:
         try:
             return await run_in_threadpool(self.store.add_measurement, upload, name, told, summary, note)
         except QuotaError:
-            self.store.drop_samples(kept.id)
+            self.store.files.drop_samples(kept.id)
             raise
 
     async def add_virtual(self, wanted: VirtualRequest) -> MeasurementRow:

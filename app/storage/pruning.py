@@ -10,10 +10,11 @@ from pathlib import Path
 from sqlalchemy import ColumnElement, delete, func, select
 
 from jointplay.app.storage.assets import AssetBaselineRow, AssetRow
+from jointplay.app.storage.recording_files import ABANDONED_S, SIGNALS
 from jointplay.app.storage.removal import GOING, Removal, tidy_folders
 from jointplay.app.storage.retention import RetentionRow, class_in, recordings
 from jointplay.app.storage.rows import MeasurementRow, now
-from jointplay.app.storage.store import ABANDONED_S, SIGNALS, Store
+from jointplay.app.storage.store import Store
 from jointplay.app.storage.tombstones import deleted
 from jointplay.app.storage.webhooks import DeliveryRow
 
@@ -71,7 +72,7 @@ class Pruner:
         for of, days in self._keep.items():
             rows = self._expired(of, days, None)
             found.append(Going(*self._said(of, days), tuple(key for key, _ in rows), sum(size for _, size in rows)))
-        partials, orphans = self._partials(), list(self._store.orphans(ABANDONED_S))
+        partials, orphans = self._partials(), list(self._store.files.orphans())
         found.append(
             Going(*PARTIALS, tuple(path.name for path, _ in partials), sum(size for _, size in partials)),
         )
@@ -98,7 +99,7 @@ class Pruner:
             path.unlink(missing_ok=True)
             yield Going(*PARTIALS, (path.name,), size)
         orphans: list[tuple[str, int]] = []
-        for each in self._store.orphans(ABANDONED_S):
+        for each in self._store.files.orphans():
             orphans.append(each)
             if len(orphans) == BATCH:
                 yield self._drop(orphans)
@@ -131,10 +132,10 @@ class Pruner:
             return [(str(key), int(size)) for key, size in found]
 
     def _partials(self) -> list[tuple[Path, int]]:
-        return [(path, size) for path, size, age in self._store.partials() if age > ABANDONED_S]
+        return [(path, size) for path, size, age in self._store.files.partials() if age > ABANDONED_S]
 
     def _drop(self, orphans: Sequence[tuple[str, int]]) -> Going:
-        self._store.drop_files([sha256 for sha256, _ in orphans])
+        self._store.files.drop([sha256 for sha256, _ in orphans])
         return Going(*ORPHANS, tuple(sha256 for sha256, _ in orphans), sum(size for _, size in orphans))
 
     def _told(self) -> tuple[ColumnElement[bool], ...]:
@@ -146,4 +147,4 @@ class Pruner:
         known = {path.stem for path in folder.iterdir()} if folder.is_dir() else set()
         with self._store.database.reading() as session:
             for key in known & set(session.scalars(deleted("measurement"))):
-                self._store.drop_samples(key)
+                self._store.files.drop_samples(key)

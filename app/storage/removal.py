@@ -104,8 +104,8 @@ class Removal:
 
     def _drop(self, checksums: dict[str, str]) -> None:
         for key in checksums:
-            self._store.drop_samples(key)
-        self._store.drop_files(set(checksums.values()))
+            self._store.files.drop_samples(key)
+        self._store.files.drop(set(checksums.values()))
 
     def delete_diagnosis(self, key: str, why: str) -> None:
         """Delete an answer.

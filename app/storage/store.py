@@ -6,9 +6,8 @@ import hashlib
 import json
 import os
 import tempfile
-import time
-from collections.abc import Callable, Collection, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -23,27 +22,13 @@ from jointplay.app.errors import AppError, BusyError, NotReadyError, UnknownDiag
 from jointplay.app.storage import audit
 from jointplay.app.storage.assets import touch_owners
 from jointplay.app.storage.database import ServiceDatabase, database_url
+from jointplay.app.storage.recording_files import PARTIAL, RECORDINGS, RecordingFiles, recording_path
 from jointplay.app.storage.retention import Quotas, RetentionRow
 from jointplay.app.storage.rows import Base, DiagnosisRow, MeasurementRow, MomentSource, Row, newest, now
 from jointplay.app.storage.told import Told
 from jointplay.app.storage.tombstones import TombstoneRow, deleted, dig_up, missing, refuse_deleted
 from jointplay.catalogue.diagnosing.answer import Diagnosis
 from jointplay.catalogue.storage.directory import sync_folder
-
-PARTIAL = "partial-"
-"""Beginning of the name of an upload that is on its way."""
-
-RECORDINGS = "measurements"
-"""Folder of uploads."""
-
-SIGNALS = "signals"
-"""Folder of the samples of recordings that were read."""
-
-ABANDONED_S = 86_400.0
-"""Age from which on nobody is sending it any more."""
-
-FILES_LOCK = 7_264_917_003_120
-"""Key of PostgreSQL's advisory lock that whoever deletes files holds alone, and whoever names them holds in common."""
 
 
 @dataclass(frozen=True)
@@ -117,6 +102,8 @@ class Store:
     ----------
     database : ServiceDatabase
         Other modules keep their tables in it, too.
+    files : RecordingFiles
+        What lies in the folder, and may be deleted.
 
     Raises
     ------
@@ -127,10 +114,11 @@ class Store:
     def __init__(self, directory: Path, url: str = "", quotas: Quotas | None = None) -> None:
         self.directory = directory
         self._quotas = quotas or Quotas()
-        self._files = directory / RECORDINGS
+        self._files = directory / RECORDINGS  # of uploads
         self._files.mkdir(parents=True, exist_ok=True)
         file = URL.create("sqlite", database=str(directory / "service.sqlite"))
         self.database = ServiceDatabase(database_url(url) if url else file, Base.metadata)
+        self.files = RecordingFiles(directory, self.database)
         audit.attend(self.database)
         self._session = self.database.session
         self._opened = self._identity()
@@ -219,62 +207,8 @@ class Store:
         try:
             yield
         except AppError:
-            self.drop_files([upload.sha256])
+            self.files.drop([upload.sha256])
             raise
-
-    def partials(self) -> list[tuple[Path, int, float]]:
-        """Return uploads that are on their way, or that killed servers left: path, size, seconds since they grew."""
-        found = []
-        for path in self._files.glob(f"{PARTIAL}*"):
-            with suppress(FileNotFoundError):
-                facts = path.stat()
-                found.append((path, facts.st_size, time.time() - facts.st_mtime))
-        return found
-
-    def orphans(self, age_s: float) -> Iterator[tuple[str, int]]:
-        """Give checksums and sizes of files that no recording is of: a server died, or somebody deletes right now.
-
-        Parameters
-        ----------
-        age_s : float
-            Younger ones may be of a row that is on its way.
-        """
-        for folder in sorted(self._files.iterdir()):
-            if len(folder.name) != 2 or not folder.is_dir():
-                continue
-            sizes = {}
-            for path in folder.iterdir():
-                with suppress(FileNotFoundError):
-                    facts = path.lstat()
-                    if len(path.name) == 64 and facts.st_mtime < time.time() - age_s:  # the others are not ours
-                        sizes[path.name] = facts.st_size
-            with self._session() as session:
-                spoken = self._spoken_of(session, sizes)
-            yield from ((sha256, size) for sha256, size in sizes.items() if sha256 not in spoken)
-
-    def drop_files(self, checksums: Collection[str]) -> None:
-        """Delete the files that no recording is of any more, of some checksums."""
-        if not checksums:
-            return
-        with self.database.writing() as session:
-            self._lock_files(session, alone=True)
-            for sha256 in set(checksums) - self._spoken_of(session, checksums):
-                self.path_of(sha256).unlink(missing_ok=True)
-
-    def drop_samples(self, key: str) -> None:
-        """Delete the samples that were read of a measurement."""
-        for ending in ("npy", "json"):
-            (self.directory / SIGNALS / f"{key}.{ending}").unlink(missing_ok=True)
-
-    def _spoken_of(self, session: Session, checksums: Collection[str]) -> set[str]:
-        query = select(MeasurementRow.sha256).where(MeasurementRow.id.not_in(deleted("measurement")))
-        return set(session.scalars(query.where(MeasurementRow.sha256.in_(list(checksums)))))
-
-    def _lock_files(self, session: Session, *, alone: bool) -> None:
-        """Keep whoever deletes files from those that a row is about to speak of; SQLite has one writer anyway."""
-        if not self.database.is_sqlite:
-            how = "" if alone else "_shared"
-            session.execute(text(f"SELECT pg_advisory_xact_lock{how}(:key)"), {"key": FILES_LOCK})
 
     def path_of(self, sha256: str) -> Path:
         """Return where the bytes with this checksum lie."""
@@ -331,7 +265,7 @@ class Store:
     def _put_measurement(
         self, session: Session, upload: Upload, name: str, told: Told, summary: Mapping[str, Any]
     ) -> MeasurementRow:
-        self._lock_files(session, alone=False)
+        self.files.lock(session, alone=False)
         if not self.path_of(upload.sha256).is_file():
             raise BusyError("the same bytes were deleted at this moment; send them again")
         held = dict(summary)
@@ -514,11 +448,6 @@ def about_measurement(row: MeasurementRow) -> dict[str, Any]:
     """Return what the audit log says of a measurement."""
     names = ("sha256", "name", "size_bytes", "said", "measured_at", "measured_at_source")
     return {name: getattr(row, name) for name in names}
-
-
-def recording_path(directory: Path, sha256: str) -> Path:
-    """Return where the bytes with a checksum lie below a folder of data."""
-    return directory / RECORDINGS / sha256[:2] / sha256
 
 
 def measurement_key(sha256: str, name: str, told: Told) -> str:

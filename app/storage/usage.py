@@ -122,7 +122,7 @@ def measure(store: Store) -> Usage:
         for name in CLASSES
         for count, total, first, new in [rows.get(name, (0, 0, None, 0))]
     }
-    partials = store.partials()
+    partials = store.files.partials()
     disk = shutil.disk_usage(store.directory)
     # A file of SQLite lies beside the recordings; a server of its own has a disk of its own.
     growth = database_bytes * int(recent or 0) / max(diagnoses, 1) / days_of(begun, moment)

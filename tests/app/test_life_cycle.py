@@ -33,10 +33,11 @@ from jointplay.app.storage.audit import AuditLog
 from jointplay.app.storage.build_queue import BuildQueue
 from jointplay.app.storage.machine_store import MachineStore
 from jointplay.app.storage.pruning import Pruner
+from jointplay.app.storage.recording_files import ABANDONED_S, PARTIAL, RecordingFiles
 from jointplay.app.storage.removal import GOING, Removal
 from jointplay.app.storage.retention import Quotas, kept_of
 from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow, now
-from jointplay.app.storage.store import ABANDONED_S, PARTIAL, Store
+from jointplay.app.storage.store import Store
 from jointplay.app.storage.usage import days_to_fill, measure
 from jointplay.app.storage.webhooks import DeliveryRow, Webhooks, announce
 
@@ -335,14 +336,14 @@ def test_bytes_that_are_deleted_while_they_come_are_not_acknowledged(
 ) -> None:
     """Between the moment at which a file has its name and its row, somebody deletes the last row of the same bytes."""
     row = stored(store)
-    lock = Store._lock_files
+    lock = RecordingFiles.lock
 
-    def others(self: Store, session: Session, *, alone: bool) -> None:
+    def others(self: RecordingFiles, session: Session, *, alone: bool) -> None:
         lock(self, session, alone=alone)
         if not alone:
-            self.path_of(row.sha256).unlink()
+            store.path_of(row.sha256).unlink()
 
-    monkeypatch.setattr(Store, "_lock_files", others)
+    monkeypatch.setattr(RecordingFiles, "lock", others)
     with pytest.raises(BusyError, match="deleted at this moment; send them again"):
         stored(store, name="b.csv")
     assert len(store.measurements(None, 10)) == 1
@@ -357,7 +358,7 @@ def test_a_deletion_that_is_cut_short_leaves_no_row_without_its_file(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as dying:
-        dying.setattr(Store, "drop_files", killed)
+        dying.setattr(RecordingFiles, "drop", killed)
         with pytest.raises(KeyboardInterrupt):
             Removal(store).delete_measurement(row.id, "")
     with pytest.raises(DeletedError):
