@@ -28,6 +28,7 @@ COMMANDS = {
     "evaluate": "measure the diagnoses of a catalogue on recordings it has not seen",
     "keys": "make, list and take back keys to the HTTP interface",
     "audit": "write who did what to a service, and when",
+    "prune": "delete what a service keeps no longer, or say what that is",
     "backup": "copy everything a service keeps, while it works",
     "restore": "bring such a copy to where a service is to find it",
     "serve": "serve the HTTP interface and the web page",

@@ -59,6 +59,18 @@ class DamagedRowError(AppError):
         return DamagedRowError, (str(self), self.number)
 
 
+class DeletedError(AppError):
+    """Something that was here once and was deleted."""
+
+
+class InUseError(AppError):
+    """Something that may not be deleted as long as something else needs it."""
+
+
+class QuotaError(AppError):
+    """A recording that is more than a key, or all of them together, may store."""
+
+
 class UnknownDiagnosisError(AppError):
     """No stored diagnosis has this id."""
 
@@ -216,6 +228,10 @@ class OutputError(AppError):
 
 class BackupError(AppError):
     """A backup that cannot be made or brought back; nothing that was there before has been changed."""
+
+
+class DamagedBackupError(AppError):
+    """A backup that lacks something, because that is damaged where it was copied from, or in the backup itself."""
 
 
 class AddressError(AppError):

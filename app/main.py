@@ -18,7 +18,9 @@ from jointplay.app.http.examples import read_document
 from jointplay.app.http.gate import Gate
 from jointplay.app.http.middleware import BodyLimit, RequestLog, SecurityHeaders, State
 from jointplay.app.http.query import refuse_unknown
+from jointplay.app.http.stored import Stored
 from jointplay.app.jobs.build_runner import BuildRunner
+from jointplay.app.jobs.housekeeper import Housekeeper
 from jointplay.app.jobs.scrubber import Scrubber
 from jointplay.app.jobs.standing_keeper import StandingKeeper
 from jointplay.app.jobs.webhook_sender import WebhookSender
@@ -59,7 +61,10 @@ from jointplay.app.storage.audit import note_machine
 from jointplay.app.storage.build_queue import BuildQueue
 from jointplay.app.storage.keys import Keys
 from jointplay.app.storage.machine_store import MachineStore
+from jointplay.app.storage.pruning import Pruner
+from jointplay.app.storage.retention import Quotas
 from jointplay.app.storage.store import Store
+from jointplay.app.storage.tombstones import missing
 from jointplay.app.storage.webhooks import Webhooks
 
 STATIC = Path(__file__).parent / "static"
@@ -80,21 +85,26 @@ def create_app(settings: ServiceSettings | None = None, *, warm: bool = False) -
 
     @asynccontextmanager
     async def lifespan(application: FastAPI) -> AsyncIterator[None]:
-        store = Store(chosen.data, chosen.database)
+        store = Store(chosen.data, chosen.database, Quotas(*chosen.quotas))
         log = LogSettings(chosen.log_format, chosen.log_level)
         pool = WorkerPool(chosen.workers, chosen.queue_limit, chosen.time_limit_s, log, metrics)
-        put_there = MachineStore(chosen.data / "machines", partial(note_machine, store.database))
+        kept_here = (partial(note_machine, store.database), partial(missing, store.database, "machine"))
+        put_there = MachineStore(chosen.data / "machines", *kept_here)
+        shelf = CatalogueShelf(chosen.catalogues, partial(missing, store.database, "catalogue"))
         queue = BuildQueue(store.database)
         runner = BuildRunner(
             queue, chosen.catalogues, chosen.builds, chosen.build_lease_s, log=log, scheduler=chosen.scheduler
         )
-        service = Service(chosen, store, CatalogueShelf(chosen.catalogues), pool, put_there, queue, runner, metrics)
+        service = Service(chosen, store, shelf, pool, put_there, queue, runner, metrics)
         metrics.registry.register(State(service))
+        metrics.registry.register(Stored(service))
         application.state.service = service
         application.state.keys = Keys(store.database)
         runner.start()
         sender = WebhookSender(Webhooks(store.database), chosen.webhooks_private, metrics.count_delivery)
         sender.start()
+        keeper = Housekeeper(Pruner(store, chosen.catalogues, chosen.keep_days))
+        keeper.start()
         behind = [asyncio.create_task(StandingKeeper(store, pool).run())]
         behind.append(asyncio.create_task(Scrubber(store, metrics).run()))
         if warm:
@@ -108,6 +118,7 @@ def create_app(settings: ServiceSettings | None = None, *, warm: bool = False) -
             service.stop()
             await run_in_threadpool(runner.close)
             await run_in_threadpool(sender.close)
+            await run_in_threadpool(keeper.close)
             pool.close()
             store.close()
 

@@ -90,6 +90,9 @@ TABLE: dict[type[Exception], ProblemKind] = {
         409, "recording-damaged", "The recording is not what was stored", exit_status=1
     ),
     errors.DamagedRowError: ProblemKind(409, "row-damaged", "A row is not what was stored", exit_status=1),
+    errors.DeletedError: ProblemKind(410, "deleted", "It was deleted"),
+    errors.InUseError: ProblemKind(409, "in-use", "Something else needs it"),
+    errors.QuotaError: ProblemKind(507, "quota", "More than may be stored"),
     errors.UnknownDiagnosisError: ProblemKind(404, "unknown-diagnosis", "No such diagnosis"),
     errors.UnknownBuildError: ProblemKind(404, "unknown-build", "No such build"),
     errors.BuildEndedError: ProblemKind(409, "build-ended", "The build has ended already"),
@@ -125,6 +128,7 @@ TABLE: dict[type[Exception], ProblemKind] = {
     errors.NotReadyError: ProblemKind(503, "not-ready", "The service is not ready"),
     errors.OutputError: ProblemKind(422, "output", "The result cannot be written"),
     errors.BackupError: ProblemKind(422, "backup", "The backup cannot be made or brought back"),
+    errors.DamagedBackupError: ProblemKind(500, "damaged-backup", "Something in the backup is damaged"),
     errors.AddressError: ProblemKind(500, "address", "The address cannot be used"),
     errors.UnassembledError: ProblemKind(422, "unassembled", "The machine cannot be assembled"),
     errors.SimulationFailedError: ProblemKind(500, "simulation-failed", "The simulation did not succeed"),

@@ -10,6 +10,9 @@ API = "/api/v1"
 OPEN = ("/healthz", "/readyz", "/sign-in", "/sign-out", "/openapi.json")
 OPEN_FOLDER = "/static/"
 ADMINISTERED = ("/webhooks", "/keys", "/audit")
+RETENTION = "/retention"
+#: What is taken back by DELETE, and can be said again: everything else that is deleted is gone.
+TAKEN_BACK = "/acknowledgement"
 BUILDING = ("/forecasts", "/builds", "/machines")
 
 
@@ -41,6 +44,8 @@ def scope_of(method: str, path: str) -> Scope | None:
         return Scope.ADMIN
     if method in READING:
         return Scope.READ
+    if place.endswith(RETENTION) or (method == "DELETE" and not place.endswith(TAKEN_BACK)):
+        return Scope.ADMIN
     return Scope.BUILD if under(place, BUILDING) else Scope.MATCH
 
 

@@ -6,7 +6,7 @@ import asyncio
 import io
 import json
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -16,7 +16,7 @@ from sqlalchemy.orm import Session
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 
-from jointplay.app.errors import BadFieldError, TimeLimitError, UnknownMeasurementError, WorkerDiedError
+from jointplay.app.errors import BadFieldError, DeletedError, QuotaError, UnknownMeasurementError
 from jointplay.app.figures.pictures import response_picture
 from jointplay.app.jobs import following, forecasts, tasks, virtual
 from jointplay.app.jobs.build_orders import machine_of, plan_of
@@ -34,6 +34,7 @@ from jointplay.app.storage import webhooks
 from jointplay.app.storage.assets import AssetRow, Assets, measurements_of, touch_owners
 from jointplay.app.storage.build_queue import BuildQueue
 from jointplay.app.storage.machine_store import MachineStore
+from jointplay.app.storage.recording_folder import SIGNALS
 from jointplay.app.storage.remembered import Remembered
 from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
 from jointplay.app.storage.store import NewDiagnosis, Store, Upload, measurement_key
@@ -96,7 +97,7 @@ class Service:
     @property
     def samples(self) -> str:
         """Folder of the samples of recordings that were read."""
-        return str(self.settings.data / "signals")
+        return str(self.settings.data / SIGNALS)
 
     def stop(self) -> None:
         """Let everything end that would go on by itself: streams of events, and builds, which others take up."""
@@ -118,7 +119,11 @@ class Service:
         kept = StoredRecording(measurement_key(upload.sha256, name, told), *recording, self.samples)
         summary = await self.pool.run(tasks.summarise, *recording, kept)
         note = None if known is None else self.noting(known.external_id, columns_of(summary), told)
-        return await run_in_threadpool(self.store.add_measurement, upload, name, told, summary, note)
+        try:
+            return await run_in_threadpool(self.store.add_measurement, upload, name, told, summary, note)
+        except QuotaError:
+            self.store.files.drop_samples(kept.id)
+            raise
 
     async def add_virtual(self, wanted: VirtualRequest) -> MeasurementRow:
         """Simulate a recording of a catalogue's machine in a worker and store it as any other."""
@@ -195,9 +200,9 @@ class Service:
         return await run_in_threadpool(self.store.add_diagnosis, diagnosis)
 
     async def diagnose_upload(self, upload: Upload, name: str, told: Told, request: DiagnosisRequest) -> DiagnosisRow:
-        """Store an uploaded recording and diagnose it: the same as both calls by themselves, but it is read once.
+        """Diagnose an uploaded recording and store both: the same as both calls by themselves, but it is read once.
 
-        The recording stays when the question is refused, or takes too long.
+        Nothing stays when the question is refused, or takes too long.
 
         Parameters
         ----------
@@ -207,25 +212,13 @@ class Service:
         """
         told = await self.recall(upload, name, told, request.asset)
         request = request.model_copy(update={"measurement": measurement_key(upload.sha256, name, told)})
-        known = Remembered(self.store.database)
-        left_out = request.asset is not None and "mapping" not in request.model_fields_set
-        if left_out and await run_in_threadpool(known.has_mappings, str(request.asset)):
-            await self.add_measurement(upload, name, told)  # its columns say which sensors they were before
-            return await self.diagnose(request)
-        try:
-            asked = await run_in_threadpool(self.about, request)
-        except Exception:
-            await self.add_measurement(upload, name, told)
-            raise
+        asked = await run_in_threadpool(self.about, request)
         recording = (str(upload.path), name, told)
-        try:
-            summary, outcome = await self.pool.run(tasks.summarise_and_diagnose, *recording, asked.question)
-        except (TimeLimitError, WorkerDiedError):
-            # Perhaps it was the diagnosis that took too long, or too much memory.
-            await self.add_measurement(upload, name, told)
-            raise
+        if await run_in_threadpool(self.may_remember, asked, request):
+            read = await self.pool.run(tasks.summarise, *recording)
+            asked, request = await run_in_threadpool(self.with_remembered, asked, request, columns_of(read))
+        summary, outcome = await self.pool.run(tasks.summarise_and_diagnose, *recording, asked.question)
         if outcome.problem is not None:
-            await run_in_threadpool(self.store.add_measurement, upload, name, told, summary)
             raise TaskFailedError(outcome.problem)
         self.metrics.count_diagnosis(outcome.value)
         diagnosis = self.new_diagnosis(request, asked, outcome.value, columns_of(summary), told)
@@ -272,12 +265,25 @@ class Service:
         asked = self.about(request)
         rows = self.measurements_of(request, asked.asset)
         columns = {frozenset(columns_of(row.summary)) for row in rows}
-        if asked.asset is not None and "mapping" not in request.model_fields_set and len(columns) == 1:
-            known = Remembered(self.store.database).mapping(asked.asset.external_id, columns.pop())
-            if known:
-                asked = replace(asked, question=replace(asked.question, mapping=known), remembered=True)
-                request = request.model_copy(update={"mapping": known})
+        if len(columns) == 1 and self.may_remember(asked, request):
+            asked, request = self.with_remembered(asked, request, columns.pop())
         return rows, asked, request
+
+    def may_remember(self, asked: Asked, request: DiagnosisRequest) -> bool:
+        """Return whether a request leaves to its asset which column is which sensor, and something is known of that."""
+        if asked.asset is None or "mapping" in request.model_fields_set:
+            return False
+        return Remembered(self.store.database).has_mappings(asked.asset.external_id)
+
+    def with_remembered(
+        self, asked: Asked, request: DiagnosisRequest, columns: Iterable[str]
+    ) -> tuple[Asked, DiagnosisRequest]:
+        """Return a question and its request with the sensors that the asset's last recording with the columns had."""
+        known = asked.asset and Remembered(self.store.database).mapping(asked.asset.external_id, columns)
+        if not known:
+            return asked, request
+        question = replace(asked.question, mapping=known)
+        return replace(asked, question=question, remembered=True), request.model_copy(update={"mapping": known})
 
     def measurements_of(self, request: DiagnosisRequest, asset: AssetRow | None) -> list[MeasurementRow]:
         """Return the measurements that a request names, or those of its asset in a window of time.
@@ -395,7 +401,7 @@ class Service:
         rows = [self.store.measurement(key) for key in asset.in_order if key != measurement]
         own = None
         if rows and measurement is not None:
-            with suppress(UnknownMeasurementError):  # it is on its way, with this question
+            with suppress(UnknownMeasurementError, DeletedError):  # it is on its way, with this question
                 own = self.store.measurement(measurement).sha256
         return [row for row in rows if row.sha256 != own]
 

@@ -89,6 +89,25 @@ class ServiceSettings(BaseSettings):
     webhooks_private: bool = Field(
         default=False, description="Whether webhooks may lead to addresses that are not public, such as 10.0.0.5."
     )
+    keep_routine_days: float | None = Field(
+        default=None,
+        gt=0,
+        description="Days that routine recordings are kept, from when they came; for ever unless set.",
+    )
+    keep_baseline_days: float | None = Field(
+        default=None,
+        gt=0,
+        description="Days that recordings are kept that somebody says are baselines; those in use stay.",
+    )
+    keep_evidence_days: float | None = Field(
+        default=None, gt=0, description="Days that evidence is kept: recordings that a finding speaks of."
+    )
+    quota_gb: float | None = Field(
+        default=None, gt=0, description="Gigabytes (10^9 bytes) of recordings that may be stored in all; then 507."
+    )
+    quota_key_gb: float | None = Field(
+        default=None, gt=0, description="Gigabytes of recordings that one key may store; then 507."
+    )
     stop_limit_s: float = Field(
         default=30.0,
         ge=0.0,
@@ -129,6 +148,17 @@ class ServiceSettings(BaseSettings):
     def max_upload_bytes(self) -> int:
         """Largest request body that is read, in bytes; multipart framing is included."""
         return int(self.max_upload_mb * 1e6)
+
+    @property
+    def keep_days(self) -> dict[str, float | None]:
+        """How long recordings of each class are kept, in days; None for ever."""
+        return {name: getattr(self, f"keep_{name}_days") for name in ("routine", "baseline", "evidence")}
+
+    @property
+    def quotas(self) -> tuple[float | None, float | None]:
+        """How many bytes of recordings may be stored in all, and by one key."""
+        both = (self.quota_gb, self.quota_key_gb)
+        return tuple(None if each is None else 1e9 * each for each in both)  # type: ignore[return-value]
 
     @property
     def allowed_hosts(self) -> frozenset[str]:

@@ -23,6 +23,7 @@ DESCRIPTIONS = {
     404: "There is none of this name or id.",
     406: "There is no form that `Accept` allows.",
     409: "What is there already does not allow it.",
+    410: "It was deleted; the detail says when, by whom and why.",
     412: "A condition of the request (`If-Match`, `If-None-Match`) does not hold.",
     413: "The body is larger than the limit of the service.",
     415: "This type of body is not taken here.",
@@ -30,7 +31,7 @@ DESCRIPTIONS = {
     500: "The service failed.",
     503: "All workers are busy, or the database does not answer; Retry-After says when to try again.",
     504: "The computation took longer than the limit of the service.",
-    507: "A disk of the service is full; nothing was stored.",
+    507: "A disk of the service is full, or a quota is used up; nothing was stored.",
 }
 SCHEMES = {
     "bearer": {"type": "http", "scheme": "bearer", "description": "A key: Authorization: Bearer KEY."},

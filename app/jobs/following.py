@@ -73,7 +73,7 @@ def gather(store: Store, asset: str) -> Life:
     if not diagnoses:
         raise NothingToFollowError(f"asset {asset}: none of its recordings was diagnosed yet", field="asset")
     # Whoever diagnoses a recording for an asset notes it as one of the asset's.
-    known = {each.id: each for each in store.measurements(None, MOST_RECORDINGS, measurements_of(asset))}
+    known = {each.id: each for each in store.measurements(None, MOST_RECORDINGS, measurements_of(asset), gone=True)}
     # The same bytes by several names were made once: when somebody says, or else when they were first received.
     made: dict[str, tuple[bool, datetime]] = {}
     for row_of in known.values():

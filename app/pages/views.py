@@ -25,7 +25,7 @@ from jointplay.solver.machines.machine import parse_machine
 SHOWN_HYPOTHESES = 12
 
 
-def view(row: DiagnosisRow, measurement: MeasurementRow) -> dict[str, Any]:
+def view(row: DiagnosisRow, measurement: MeasurementRow, gone: Sequence[str] = ()) -> dict[str, Any]:
     """Return the members that the result's template shows.
 
     Parameters
@@ -34,6 +34,8 @@ def view(row: DiagnosisRow, measurement: MeasurementRow) -> dict[str, Any]:
         A stored diagnosis.
     measurement : MeasurementRow
         Its recording.
+    gone : sequence of str
+        Which of its recordings were deleted since.
     """
     result = row.answer
     found = comparisons(result)
@@ -48,6 +50,7 @@ def view(row: DiagnosisRow, measurement: MeasurementRow) -> dict[str, Any]:
         "machine": result.machine,
         "speed": speeds(result),
         "measurement": row.measurement,
+        "deleted": list(gone),
         "recording": words.recorded(result, measurement.name),
         "recordings": recording_rows(result),
         "asset": row.request.get("asset"),

@@ -112,7 +112,13 @@ class Report:
     evidence: str
 
 
-def report_of(row: DiagnosisRow, measurement: MeasurementRow, asset: str | None = None, notes: str = "") -> Report:
+def report_of(
+    row: DiagnosisRow,
+    measurement: MeasurementRow,
+    asset: str | None = None,
+    notes: str = "",
+    gone: Sequence[str] = (),
+) -> Report:
     """Return what the report of a diagnosis says.
 
     Parameters
@@ -124,6 +130,8 @@ def report_of(row: DiagnosisRow, measurement: MeasurementRow, asset: str | None 
         External id of the machine that was measured, where the diagnosis names it.
     notes : str
         Of that asset: where it stands.
+    gone : sequence of str
+        Which of its recordings were deleted since.
     """
     result = row.answer
     return Report(
@@ -132,7 +140,7 @@ def report_of(row: DiagnosisRow, measurement: MeasurementRow, asset: str | None 
         sentence=words.sentence(result),
         remarks=tuple(cut(line, 240) for line in words.remarks(result)),
         colours=words.colour_sentence(result),
-        facts=facts(row, measurement, asset, notes),
+        facts=facts(row, measurement, asset, notes, gone),
         likelihood=(
             words.set_sentence(result),
             f"{words.capital(words.fit_sentence(result))}. {words.mode_sentence(result)}",
@@ -155,7 +163,9 @@ def report_of(row: DiagnosisRow, measurement: MeasurementRow, asset: str | None 
     )
 
 
-def facts(row: DiagnosisRow, measurement: MeasurementRow, asset: str | None, notes: str = "") -> tuple[Named, ...]:
+def facts(
+    row: DiagnosisRow, measurement: MeasurementRow, asset: str | None, notes: str = "", gone: Sequence[str] = ()
+) -> tuple[Named, ...]:
     """Return who was measured, where, how and when."""
     summary = measurement.summary
     channels = ", ".join(channel["name"] for channel in summary["channels"])
@@ -164,6 +174,7 @@ def facts(row: DiagnosisRow, measurement: MeasurementRow, asset: str | None, not
         Named("Machine", cut(row.answer.machine)),
         *((Named("Notes", cut(" ".join(notes.split()), 160)),) if notes.strip() else ()),
         Named(kind_of(summary).capitalize(), cut(measurement.name)),
+        *((Named("Deleted", f"{', '.join(gone)}: the bytes are not there any more"),) if gone else ()),
         Named("Measured", measured(measurement)),
         Named("Extent" if kind_of(summary) == "spectrum" else "Length", extent(summary)),
         *((Named("Said of it", cut(summarise_told(measurement.told.shown))),) if measurement.told.shown else ()),

@@ -252,7 +252,7 @@ def past(service: Service, external_id: str, cursor: str | None) -> dict[str, An
     diagnoses, damaged[:], following = paging.cut_around(rows, beyond, SHOWN)
     used = {key for each in diagnoses for key in each.measurements}
     among = select(MeasurementRow.id).where(MeasurementRow.id.in_(used))
-    measurements = {each.id: each for each in store.measurements(None, len(used), among, damaged)}
+    measurements = {each.id: each for each in store.measurements(None, len(used), among, damaged, gone=True)}
     own = store.measurements(None, SHOWN, measurements_of(external_id), damaged)
     diagnoses = [each for each in diagnoses if measurements.keys() >= set(each.measurements)]
     own.sort(key=lambda each: (each.measured_at, each.number), reverse=True)

@@ -9,9 +9,10 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from jointplay.app.errors import BadFieldError, UnknownMeasurementError
+from jointplay.app.errors import BadFieldError, DeletedError, UnknownMeasurementError
 from jointplay.app.etags import respond
 from jointplay.app.http import paging
+from jointplay.app.http.deleting import DELETED, Why, delete
 from jointplay.app.http.openapi import problems
 from jointplay.app.http.uploads import JSON_TYPE, json_body
 from jointplay.app.routes.findings import damaged_out
@@ -19,6 +20,7 @@ from jointplay.app.routes.machines import Cursor, Limit
 from jointplay.app.schemas.assets import EXTERNAL_ID, TEXT, Acknowledgement, AssetIn, AssetOut, AssetPage
 from jointplay.app.service import Service, of_request
 from jointplay.app.storage.assets import AssetRow, Assets
+from jointplay.app.storage.idempotency import IdempotencyKey
 from jointplay.app.storage.rows import Damaged
 from jointplay.app.storage.standings import Standings, standing_out
 from jointplay.catalogue.following.standing import StandingName
@@ -73,7 +75,7 @@ def assets(
     )
 
 
-@router.get("/{external_id}", response_model=AssetOut, responses=problems(404, 422))
+@router.get("/{external_id}", response_model=AssetOut, responses=problems(404, 410, 422))
 async def asset(request: Request, external_id: ExternalId) -> Response:
     """Return one asset."""
     row = await run_in_threadpool(Assets(of_request(request).store.database).asset, external_id)
@@ -117,6 +119,14 @@ def own(request: Request, external_id: ExternalId, measurement: str) -> None:
     found.own(found.asset(external_id).external_id, service.store.measurement(measurement).id)
 
 
+@router.delete("/{external_id}", status_code=204, responses=DELETED)
+async def remove(
+    request: Request, external_id: ExternalId, why: Why = "", idempotency_key: IdempotencyKey = None
+) -> Response:
+    """Delete an asset; its measurements and diagnoses stay, and belong to none. Refused where one is on hold."""
+    return await delete(request, idempotency_key, lambda removal: removal.delete_asset(external_id, why), why)
+
+
 def check_baseline(service: Service, wanted: AssetIn) -> None:
     """Refuse baselines that are no stored recordings over time."""
     field = "baselines" if wanted.baselines else "baseline"
@@ -127,7 +137,7 @@ def check_baseline(service: Service, wanted: AssetIn) -> None:
     for key in wanted.in_order:
         try:
             measured = service.store.measurement(key)
-        except UnknownMeasurementError as error:
+        except (UnknownMeasurementError, DeletedError) as error:
             raise BadFieldError(f"{field}: {error}", field=field) from None
         if measured.summary.get("kind") == "spectrum":
             rule = "is a spectrum; a baseline has to be a recording over time"

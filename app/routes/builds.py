@@ -17,6 +17,7 @@ from starlette.responses import StreamingResponse
 from jointplay.app.errors import UnsupportedMediaError
 from jointplay.app.etags import respond
 from jointplay.app.http import paging
+from jointplay.app.http.deleting import DELETED, Why, delete
 from jointplay.app.http.openapi import problems
 from jointplay.app.http.uploads import media_type
 from jointplay.app.http.validation import validate
@@ -91,7 +92,7 @@ def builds(request: Request, cursor: Cursor = None, limit: Limit = None) -> Buil
     return BuildPage(items=[build_out(row) for row in shown], next_cursor=following)
 
 
-@router.get("/{key}", response_model=BuildOut, responses=problems(404))
+@router.get("/{key}", response_model=BuildOut, responses=problems(404, 410))
 def build(request: Request, key: str) -> Response:
     """Return a build, and how far it is."""
     document = Response(build_out(of_request(request).builds.find(key)).model_dump_json(), media_type=JSON_TYPE)
@@ -102,6 +103,12 @@ def build(request: Request, key: str) -> Response:
 def cancel(request: Request, key: str) -> BuildOut:
     """Stop a build: one that is queued at once, one that runs within a second or so. What was computed is kept."""
     return build_out(of_request(request).builds.cancel(key))
+
+
+@router.delete("/{key}", status_code=204, responses=DELETED)
+async def remove(request: Request, key: str, why: Why = "", idempotency_key: IdempotencyKey = None) -> Response:
+    """Delete what is known of a build that has ended; its catalogue stays."""
+    return await delete(request, idempotency_key, lambda removal: removal.delete_build(key, why), why)
 
 
 @router.get(

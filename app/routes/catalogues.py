@@ -9,11 +9,14 @@ from starlette.responses import Response
 
 from jointplay.app.etags import respond
 from jointplay.app.http import paging
+from jointplay.app.http.deleting import DELETED, Why, delete
 from jointplay.app.http.openapi import DRAWING, problems
 from jointplay.app.routes.machines import Cursor, Limit
 from jointplay.app.schemas.resources import CatalogueDetail, CatalogueItem, CataloguePage
 from jointplay.app.service import of_request
 from jointplay.app.shelves.catalogues import Offer
+from jointplay.app.storage.idempotency import IdempotencyKey
+from jointplay.app.storage.removal import Removal
 from jointplay.solver.machines.drawing import machine_svg
 
 router = APIRouter(prefix="/catalogues", tags=["catalogues"])
@@ -31,12 +34,27 @@ def catalogues(request: Request, cursor: Cursor = None, limit: Limit = None) -> 
     return CataloguePage(items=items, next_cursor=paging.encode(found[size - 1].name) if more else None)
 
 
-@router.get("/{name}", response_model=CatalogueDetail, responses=problems(404))
+@router.get("/{name}", response_model=CatalogueDetail, responses=problems(404, 410))
 def catalogue(request: Request, name: str) -> Response:
     """Return one catalogue with its plan and the statuses of its cases."""
     offer = of_request(request).shelf.find(name)
     document = Response(offer.description.model_dump_json(), media_type="application/json")
     return respond(request, document, hashlib.sha256(document.body).hexdigest())
+
+
+@router.delete("/{name}", status_code=204, responses=DELETED)
+async def remove(request: Request, name: str, why: Why = "", idempotency_key: IdempotencyKey = None) -> Response:
+    """Delete a catalogue. Diagnoses that were made with it stay, but nobody can repeat them.
+
+    Refused while it is built, and where a measurement that was diagnosed with it is on hold.
+    """
+    shelf = of_request(request).shelf
+
+    def act(removal: Removal) -> None:
+        offer = shelf.find(name)
+        removal.delete_catalogue(offer.path, offer.description.id, why)
+
+    return await delete(request, idempotency_key, act, why)
 
 
 @router.get("/{name}/drawing.svg", responses={**DRAWING, **problems(404)}, response_class=Response)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
 from datetime import datetime
 from functools import partial
 from typing import Any
@@ -17,6 +17,7 @@ from jointplay.app.errors import BadFieldError, BadRequestError, UnsupportedMedi
 from jointplay.app.etags import respond
 from jointplay.app.fields import TOLD
 from jointplay.app.http import paging
+from jointplay.app.http.deleting import DELETED, Why, delete
 from jointplay.app.http.examples import MEASUREMENT
 from jointplay.app.http.file_fields import ASSET, FILE, SAID
 from jointplay.app.http.openapi import COMPUTING, problems
@@ -42,6 +43,7 @@ class _Stored(BaseModel):
     made_by: str | None = MADE_BY
     measurement: str = Field(description="Id of the measurement, of several the first.")
     measurements: list[str] = Field(description="Ids of all measurements that have this answer.")
+    measurements_deleted: list[str] = Field(default=[], description="Those of them that were deleted since.")
     asset: str | None = Field(description="External id of the machine that was measured, where the request named it.")
 
 
@@ -57,14 +59,15 @@ class DiagnosisOut(Answer, _Stored):
     )
 
 
-def diagnosis_out(row: DiagnosisRow) -> DiagnosisOut:
-    """Return the outside shape of a stored diagnosis."""
+def diagnosis_out(row: DiagnosisRow, gone: Sequence[str] = ()) -> DiagnosisOut:
+    """Return the outside shape of a stored diagnosis, some of whose measurements may be deleted."""
     stored = {
         "id": row.id,
         "created_at": row.created_at,
         "made_by": row.made_by,
         "measurement": row.measurement,
         "measurements": list(row.measurements),
+        "measurements_deleted": list(gone),
         "asset": row.request.get("asset"),
         "catalogue": row.catalogue,
         "mapping": row.request.get("mapping", {}),
@@ -171,13 +174,23 @@ def diagnoses(
     return DiagnosisPage(items=items, damaged=damaged_out(service, damaged), next_cursor=following)
 
 
-@router.get("/{key}", response_model=DiagnosisOut, responses=problems(404))
+@router.get("/{key}", response_model=DiagnosisOut, responses=problems(404, 410))
 async def diagnosis(request: Request, key: str) -> Response:
-    """Return a diagnosis again."""
-    row = await run_in_threadpool(of_request(request).store.diagnosis, key)
-    text = diagnosis_out(row).model_dump_json()
+    """Return a diagnosis again; it says which of its measurements were deleted since."""
+    store = of_request(request).store
+    row = await run_in_threadpool(store.diagnosis, key)
+    text = diagnosis_out(row, await run_in_threadpool(store.deleted_of, row)).model_dump_json()
     # Not the id: the same answer has another form in another version of the program.
     return respond(request, Response(text, media_type=JSON_TYPE), hashlib.sha256(text.encode()).hexdigest())
+
+
+@router.delete("/{key}", status_code=204, responses=DELETED)
+async def remove(request: Request, key: str, why: Why = "", idempotency_key: IdempotencyKey = None) -> Response:
+    """Delete a diagnosis; its measurement stays. Refused where a finding speaks of it, or its measurement is on hold.
+
+    The same question asked again has the same answer under the same id again.
+    """
+    return await delete(request, idempotency_key, lambda removal: removal.delete_diagnosis(key, why), why)
 
 
 def of_form(form: Form) -> tuple[DiagnosisRequest, Told]:

@@ -10,6 +10,7 @@ from starlette.concurrency import run_in_threadpool
 
 from jointplay.app.etags import respond
 from jointplay.app.http import paging
+from jointplay.app.http.deleting import DELETED, Why, delete
 from jointplay.app.http.openapi import problems
 from jointplay.app.http.uploads import JSON_TYPE, json_body
 from jointplay.app.routes.machines import Cursor, Limit
@@ -72,11 +73,17 @@ def findings(
     return FindingPage(items=items, damaged=damaged_out(service, damaged), next_cursor=following)
 
 
-@router.get("/findings/{key}", response_model=FindingOut, responses=problems(404))
+@router.get("/findings/{key}", response_model=FindingOut, responses=problems(404, 410))
 async def finding(request: Request, key: str) -> Response:
     """Return a finding again."""
     row = await run_in_threadpool(Assets(of_request(request).store.database).finding, key)
     return respond(request, Response(finding_out(row).model_dump_json(), media_type=JSON_TYPE), row.id)
+
+
+@router.delete("/findings/{key}", status_code=204, responses=DELETED)
+async def remove(request: Request, key: str, why: Why = "", idempotency_key: IdempotencyKey = None) -> Response:
+    """Delete a finding: it teaches nothing any more. Refused where the measurement that it is about is on hold."""
+    return await delete(request, idempotency_key, lambda removal: removal.delete_finding(key, why), why)
 
 
 def damaged_out(service: Service, rows: Sequence[Damaged]) -> list[DamagedItem]:

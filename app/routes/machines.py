@@ -14,6 +14,7 @@ from starlette.responses import Response
 from jointplay.app.errors import BadRequestError, UnsupportedMediaError
 from jointplay.app.etags import Conditions, respond, tag
 from jointplay.app.http import paging
+from jointplay.app.http.deleting import DELETED, Why, delete
 from jointplay.app.http.openapi import DRAWING, problems
 from jointplay.app.http.uploads import media_type
 from jointplay.app.jobs import tasks
@@ -23,6 +24,7 @@ from jointplay.app.problems import Problem
 from jointplay.app.schemas.machines import MachineCheck, MachineVersionItem, MachineVersionPage
 from jointplay.app.schemas.resources import FieldError, MachineItem, MachinePage, Motion
 from jointplay.app.service import of_request
+from jointplay.app.storage.idempotency import IdempotencyKey
 from jointplay.app.storage.machine_store import MachineVersion, check_name
 from jointplay.solver.machines.drawing import machine_svg
 from jointplay.solver.machines.fault import parse_fault
@@ -106,7 +108,7 @@ async def sketch(request: Request) -> Response:
     return Response(look.drawing, media_type="image/svg+xml")
 
 
-@router.get("/{name}", responses={200: {"description": "The machine.", **SHOWN}, **problems(404)})
+@router.get("/{name}", responses={200: {"description": "The machine.", **SHOWN}, **problems(404, 410)})
 def machine(request: Request, name: str) -> Response:
     """Return a machine as the JSON form of its file, everything left out filled in."""
     found = of_request(request).machines.find(name)
@@ -172,6 +174,13 @@ async def put(request: Request, name: str) -> Response:
     if created:
         answer.headers["Location"] = f"/api/v1/machines/{name}"
     return answer
+
+
+@router.delete("/{name}", status_code=204, responses=DELETED)
+async def remove(request: Request, name: str, why: Why = "", idempotency_key: IdempotencyKey = None) -> Response:
+    """Delete a machine that was put here, with its versions; catalogues and diagnoses have theirs with them."""
+    machines = of_request(request).machines
+    return await delete(request, idempotency_key, lambda removal: removal.delete_machine(machines, name, why), why)
 
 
 @router.get("/{name}/drawing.svg", responses={**DRAWING, **problems(404)}, response_class=Response)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from datetime import timedelta
 from typing import Any
 
 from fastapi import APIRouter, Depends, Request, Response
@@ -10,6 +11,7 @@ from starlette.concurrency import run_in_threadpool
 
 from jointplay.app.etags import respond
 from jointplay.app.http import paging
+from jointplay.app.http.deleting import DELETED, Why, delete
 from jointplay.app.http.file_fields import ASSET, FILE, SAID
 from jointplay.app.http.openapi import COMPUTING, problems
 from jointplay.app.http.sent_measurements import JSON_TYPE, MeasurementIn, receive_measurement
@@ -17,10 +19,13 @@ from jointplay.app.http.uploads import MULTIPART, json_body
 from jointplay.app.routes.findings import Only, damaged_out
 from jointplay.app.routes.machines import Cursor, Limit
 from jointplay.app.schemas.resources import MeasurementChange, MeasurementOut, MeasurementPage
+from jointplay.app.schemas.retention import RetentionIn, RetentionOut
 from jointplay.app.schemas.virtual import BuiltInRequest, VirtualRequest
-from jointplay.app.service import of_request
+from jointplay.app.service import Service, of_request
 from jointplay.app.storage.assets import measurements_of
 from jointplay.app.storage.idempotency import IdempotencyKey, once
+from jointplay.app.storage.removal import baseline_of
+from jointplay.app.storage.retention import Kept, kept_of, say
 from jointplay.app.storage.rows import Damaged, MeasurementRow
 
 router = APIRouter(prefix="/measurements", tags=["measurements"])
@@ -94,7 +99,7 @@ def measurements(request: Request, asset: Only = None, cursor: Cursor = None, li
     return MeasurementPage(items=items, damaged=damaged_out(service, damaged), next_cursor=following)
 
 
-@router.get("/{key}", response_model=MeasurementOut, responses=problems(404))
+@router.get("/{key}", response_model=MeasurementOut, responses=problems(404, 410))
 async def measurement(request: Request, key: str) -> Response:
     """Return what is known about one measurement."""
     row = await run_in_threadpool(of_request(request).store.measurement, key)
@@ -102,10 +107,52 @@ async def measurement(request: Request, key: str) -> Response:
     return respond(request, Response(text, media_type=JSON_TYPE), hashlib.sha256(text.encode()).hexdigest())
 
 
-@router.patch("/{key}", responses=problems(404, 413, 415, 422), dependencies=[Depends(json_body)])
+@router.patch("/{key}", responses=problems(404, 410, 413, 415, 422), dependencies=[Depends(json_body)])
 def correct(request: Request, key: str, wanted: MeasurementChange) -> MeasurementOut:
     """Correct when a measurement was made; diagnoses of it stay as they are."""
     return measurement_out(of_request(request).store.correct_moment(key, wanted.measured_at))
+
+
+@router.get("/{key}/retention", responses=problems(404, 410))
+def retention(request: Request, key: str) -> RetentionOut:
+    """Say how long a recording is kept, and why."""
+    service = of_request(request)
+    row = service.store.measurement(key)
+    with service.store.database.reading() as session:
+        return retention_out(service, row, kept_of(session, key))
+
+
+@router.put("/{key}/retention", responses=problems(400, 404, 410, 413, 415, 422), dependencies=[Depends(json_body)])
+def retain(request: Request, key: str, wanted: RetentionIn) -> RetentionOut:
+    """Say of what class a recording is, or put it on hold; what is left out is taken back."""
+    service = of_request(request)
+    row = service.store.measurement(key)
+    return retention_out(service, row, say(service.store.database, key, wanted.keep_as, wanted.hold))
+
+
+@router.delete("/{key}", status_code=204, responses=DELETED)
+async def remove(request: Request, key: str, why: Why = "", idempotency_key: IdempotencyKey = None) -> Response:
+    """Delete a recording; diagnoses of it stay, and say so. Its bytes sent again are the same measurement again.
+
+    Refused for one on hold, a baseline of an asset and evidence.
+    """
+    return await delete(request, idempotency_key, lambda removal: removal.delete_measurement(key, why), why)
+
+
+def retention_out(service: Service, row: MeasurementRow, kept: Kept) -> RetentionOut:
+    """Return the outside shape of how a recording is kept."""
+    days = service.settings.keep_days[kept.of]
+    until = None if days is None or kept.hold is not None else row.created_at + timedelta(days=days)
+    with service.store.database.reading() as session:
+        used = baseline_of(session, row.id) is not None
+    return RetentionOut(
+        keep_as=kept.of,
+        said=kept.said,
+        hold=kept.hold,
+        changed_by=kept.changed_by,
+        changed_at=kept.changed_at,
+        keep_until=None if used else until,
+    )
 
 
 def created(row: MeasurementRow) -> Response:

@@ -123,7 +123,7 @@ async def diagnosis(request: Request, key: str) -> Response:
         request,
         result=shown,
         title=f"{shown['short']}: jointplay",
-        again="" if shown["recordings"] else urlencode(asked),
+        again="" if shown["recordings"] or shown["deleted"] else urlencode(asked),
     )
     return templates.TemplateResponse(request, "result.html", members)
 
@@ -250,4 +250,4 @@ def first_steps(service: Service) -> dict[str, Any]:
 
 def result_of(service: Service, row: DiagnosisRow) -> dict[str, Any]:
     """Return everything the page shows of a diagnosis."""
-    return view(row, service.store.measurement(row.measurement))
+    return view(row, service.store.measurement_of(row), service.store.deleted_of(row))

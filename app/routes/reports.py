@@ -68,12 +68,13 @@ async def report(request: Request, key: str, format: Format = None) -> Response:
 
 def find_report(service: Service, row: DiagnosisRow, response: str) -> tuple[Report, ReportFigures]:
     """Return what the report of a stored diagnosis says and shows, the response of the frame drawn already."""
-    measurement = service.store.measurement(row.measurement)
+    measurement, gone = service.store.measurement_of(row), service.store.deleted_of(row)
     asset = row.request.get("asset")
-    if not asset:
-        return report_of(row, measurement), figures_of(row, response)
     found = Assets(service.store.database)
-    return report_of(row, measurement, asset, found.asset(asset).notes), figures_of(
+    known = found.known(asset) if asset else None  # it may have been deleted since
+    if known is None:
+        return report_of(row, measurement, asset, gone=gone), figures_of(row, response)
+    return report_of(row, measurement, asset, known.notes, gone), figures_of(
         row, response, find_trend(service, found, row)
     )
 
@@ -84,7 +85,7 @@ def find_trend(service: Service, assets: Assets, row: DiagnosisRow) -> str:
     diagnoses = service.store.diagnoses(None, MOST_PAST, among=diagnoses_of(asset))
     used = {key for each in (row, *diagnoses) for key in each.measurements}
     among = select(MeasurementRow.id).where(MeasurementRow.id.in_(used))
-    measurements = {each.id: each for each in service.store.measurements(None, len(used), among)}
+    measurements = {each.id: each for each in service.store.measurements(None, len(used), among, gone=True)}
     end = measured(row, measurements)
     past = [each for each in diagnoses if measured(each, measurements) <= end]
     if len({each.measurements for each in past}) < 2:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import logging
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from math import pi
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jointplay.app.errors import UnknownCatalogueError
+from jointplay.app.errors import AppError, UnknownCatalogueError
 from jointplay.app.schemas.resources import CatalogueDetail, SensorItem
 from jointplay.catalogue.errors import CatalogueError
 from jointplay.catalogue.storage.directory import CatalogueDirectory
@@ -58,10 +59,13 @@ class CatalogueShelf:
     ----------
     directory : Path
         Holds one folder for each catalogue, or is a catalogue itself.
+    missing : callable, optional
+        Returns why there is no catalogue of a name, from the name and the error for one that never was.
     """
 
-    def __init__(self, directory: Path) -> None:
+    def __init__(self, directory: Path, missing: Callable[[str, AppError], AppError] = lambda _, never: never) -> None:
         self._directory = directory
+        self._missing = missing
         self._offers: dict[Path, Offer] = {}
         self._lock = threading.Lock()
 
@@ -89,7 +93,8 @@ class CatalogueShelf:
         for offer in self.offers():
             if name in (offer.description.id, offer.description.name):
                 return offer
-        raise UnknownCatalogueError(f"catalogue: {name[:80]}: there is none of this id or name", field="catalogue")
+        unknown = UnknownCatalogueError(f"catalogue: {name[:80]}: there is none of this id or name", field="catalogue")
+        raise self._missing(name, unknown)
 
     def find_unchanged(self, name: str) -> Offer | None:
         """Return the catalogue of an id or folder name if it was looked at before and is as it was; a few stats."""
@@ -102,7 +107,8 @@ class CatalogueShelf:
             return [self._directory]
         if not self._directory.is_dir():
             return []
-        return sorted(path for path in self._directory.iterdir() if CatalogueDirectory(path).manifest.is_file())
+        found = (path for path in self._directory.iterdir() if not path.name.startswith("."))  # one that is deleted
+        return sorted(path for path in found if CatalogueDirectory(path).manifest.is_file())
 
     def _look(self, path: Path) -> Offer:
         stamp = stamp_of(path)

@@ -28,6 +28,7 @@ from jointplay.app.storage.rows import (
     one_of,
     rows_of,
 )
+from jointplay.app.storage.tombstones import missing
 from jointplay.app.storage.webhooks import announce
 from jointplay.catalogue.following.standing import Known, Patience, Reason, judge
 
@@ -218,14 +219,22 @@ class Assets:
         ------
         UnknownAssetError
             When there is none of this id.
+        DeletedError
+            When it was deleted.
         """
-        found: list[AssetRow] = []
-        if re.fullmatch(EXTERNAL_ID, external_id):  # what can be no id does not reach the database
-            with self._database.reading() as session:
-                found = rows_of(session, AssetRow, select(AssetRow).where(AssetRow.external_id == external_id), None)
-        if not found:
-            raise UnknownAssetError(f"asset {external_id[:80]}: there is none of this id", field="asset")
-        return found[0]
+        row = self.known(external_id)
+        if row is None:
+            unknown = UnknownAssetError(f"asset {external_id[:80]}: there is none of this id", field="asset")
+            raise missing(self._database, "asset", external_id, unknown)
+        return row
+
+    def known(self, external_id: str) -> AssetRow | None:
+        """Return an asset; None where there is none of this id."""
+        if not re.fullmatch(EXTERNAL_ID, external_id):  # what can be no id does not reach the database
+            return None
+        with self._database.reading() as session:
+            query = select(AssetRow).where(AssetRow.external_id == external_id)
+            return next(iter(rows_of(session, AssetRow, query, None)), None)
 
     def page(
         self,
@@ -344,10 +353,13 @@ class Assets:
         ------
         UnknownFindingError
             When there is none of this id.
+        DeletedError
+            When it was deleted.
         """
         row = one_of(self._database, FindingRow, key)
         if row is None:
-            raise UnknownFindingError(f"finding {key[:80]}: there is none of this id")
+            unknown = UnknownFindingError(f"finding {key[:80]}: there is none of this id")
+            raise missing(self._database, "finding", key, unknown)
         return row
 
     def findings_of_machine(self, machine: str, limit: int) -> list[FindingRow]:

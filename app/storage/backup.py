@@ -1,34 +1,36 @@
-"""A copy of everything a service keeps, made while it works, and the way back.
+"""A copy of everything a service keeps, made while it works, the way back, and whether that would lead anywhere.
 
 Rows come first, in one transaction that sees one moment; then the files that they speak of. Those never change once
-they are named, and are there before a row says so: whatever is stored meanwhile is in no row of the copy.
+they are named, and are there before a row says so: whatever is stored meanwhile is in no row of the copy. What is
+damaged is named and left out, and all else goes on: a backup that lacks one recording is worth more than none.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-import os
 import shutil
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sqlalchemy import Integer, func, insert, select
+from sqlalchemy import func, select
 from sqlalchemy.engine import URL, make_url
 
 from jointplay.app.errors import BackupError
-from jointplay.app.storage import assets, build_queue, idempotency, keys, remembered, webhooks
+from jointplay.app.storage import assets, build_queue, idempotency, keys, remembered, retention, webhooks
+from jointplay.app.storage.copying import HASHES, Copier, Damage, copy_rows, digest_of, read_hashes
 from jointplay.app.storage.database import REVISION, ServiceDatabase, database_url
+from jointplay.app.storage.recording_folder import recording_path
 from jointplay.app.storage.rows import Base, MeasurementRow, now
-from jointplay.app.storage.store import recording_path
-from jointplay.catalogue.storage.directory import CatalogueDirectory, publish, sync_folder
+from jointplay.app.storage.tombstones import deleted
+from jointplay.catalogue.storage.directory import CatalogueDirectory, publish
 
 #: All tables are known once the modules that define them are loaded.
-_DEFINING = (assets, build_queue, idempotency, keys, remembered, webhooks)
+_DEFINING = (assets, build_queue, idempotency, keys, remembered, retention, webhooks)
 TABLES = Base.metadata
 
 FORMAT = 1
@@ -40,7 +42,6 @@ DERIVED = ("networks", "models", "matrix", "shards")
 """Folders of a catalogue, what may be thrown away first; the index is made again when it is needed."""
 
 TRIES = 5
-CHUNK = 500
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ class Place:
         return database_url(self.database) if self.database else sqlite(self.data / ROWS)
 
 
-def back_up(place: Place, target: Path, *, catalogues: bool = True) -> dict[str, Any]:
+def back_up(place: Place, target: Path, *, catalogues: bool = True, last: Path | None = None) -> dict[str, Any]:
     """Copy everything a service keeps to a new folder; the service may go on meanwhile.
 
     Parameters
@@ -75,42 +76,47 @@ def back_up(place: Place, target: Path, *, catalogues: bool = True) -> dict[str,
         New or empty; nobody else may read it, as signing secrets of webhooks are in it.
     catalogues : bool
         Whether to copy the catalogues, too, which could be built again.
+    last : Path, optional
+        A backup of before: files that it holds are linked to, not copied.
 
     Returns
     -------
     dict
-        What is in it.
+        What is in it, and under ``damaged`` what is not, or not as it was.
 
     Raises
     ------
     BackupError
-        There is nothing to copy, the folder is not empty, or a recording is not what it was.
+        There is nothing to copy, the folder is not empty, or the last backup is none.
     """
     if not place.database and not (place.data / ROWS).is_file():
         raise BackupError(f"{place.data}: holds no data of a service")
     if target.exists() and (not target.is_dir() or any(target.iterdir())):
         raise BackupError(f"{target}: must be a new or empty folder")
+    if last is not None:
+        read_seal(last)
     target.mkdir(mode=0o700, parents=True, exist_ok=True)
+    copier = Copier(target, last)
     with open_database(place.url) as source, open_database(sqlite(target / ROWS)) as copy:
-        counts = copy_rows(source, copy)
-        with copy.reading() as session:
-            recordings = sorted(set(session.scalars(select(MeasurementRow.sha256))))
-    for sha256 in recordings:
-        copy_recording(place.data, target, sha256)
-    machines = copy_machines(place.data, target)
-    names = (
-        [copy_catalogue(path, target / "catalogues" / name) for name, path in find_catalogues(place)]
-        if catalogues
-        else []
-    )
+        counts = copy_rows(source, copy, copier.damaged)
+        recordings = recordings_in(copy)
+    copier.hashes[ROWS] = digest_of(target / ROWS)
+    found = [copy_recording(copier, place.data, sha256) for sha256 in recordings]
+    machines = copy_machines(copier, place.data)
+    copied = [copy_catalogue(copier, path, name) for name, path in find_catalogues(place)] if catalogues else []
     content = {
         "format": FORMAT,
         "made_at": now().isoformat().replace("+00:00", "Z"),
         "revision": REVISION,
         "rows": counts,
-        "recordings": len(recordings),
+        "recordings": sum(found),
         "machines": machines,
-        "catalogues": names,
+        "catalogues": [name for name in copied if name],
+        "damaged": [damage.document() for damage in copier.damaged],
+        "copied_bytes": copier.copied_bytes,
+        "linked_bytes": copier.linked_bytes,
+        "files": len(copier.hashes),
+        "files_sha256": copier.seal(),
     }
     publish(target / SEAL, (json.dumps(content, indent=1) + "\n").encode())
     return content
@@ -129,12 +135,12 @@ def restore(source: Path, place: Place) -> dict[str, Any]:
     Returns
     -------
     dict
-        What was in it.
+        What was in it; under ``damaged`` what it lacked when it was made, and what is damaged in it by now.
 
     Raises
     ------
     BackupError
-        It is no complete backup, something in it is not what it was, or there is something at the place already.
+        It is no complete backup, or there is something at the place already.
     """
     content = read_seal(source)
     if (source / "catalogues").is_dir() and any(find_catalogues(place)):
@@ -143,20 +149,61 @@ def restore(source: Path, place: Place) -> dict[str, Any]:
         if (place.data / name).is_dir() and any((place.data / name).iterdir()):
             raise BackupError(f"{place.data / name}: is not empty")
     place.data.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory() as scratch, open_database(place.url) as target:
+    copier, shelf = Copier(place.data), Copier(place.catalogues.parent)
+    known = {(each["what"], each["name"]) for each in content.get("damaged", ())}
+    with open_database(place.url) as target, opened_copy(source) as copy:
         if rows_in(target):
             raise BackupError(f"{target.name}: holds data already")
-        rows = Path(scratch) / ROWS  # one of an older version is brought up to date there, not in the backup
-        shutil.copyfile(source / ROWS, rows)
-        with open_database(sqlite(rows)) as copy:
-            with copy.reading() as session:
-                for sha256 in set(session.scalars(select(MeasurementRow.sha256))):
-                    copy_recording(source, place.data, sha256)
-            copy_machines(source, place.data)
-            for name in content["catalogues"]:
-                copy_catalogue(source / "catalogues" / name, place.catalogues / name)
-            copy_rows(copy, target)  # last: rows speak of files
-    return content
+        for sha256 in recordings_in(copy):
+            copy_recording(copier, source, sha256)
+        copy_machines(copier, source)
+        for name in content["catalogues"]:
+            copy_catalogue(shelf, source / "catalogues" / name, name, place.catalogues.name)
+        copy_rows(copy, target, copier.damaged)  # last: rows speak of files
+    found = [damage for damage in (*copier.damaged, *shelf.damaged) if (damage.what, damage.name) not in known]
+    return {**content, "damaged": [*content.get("damaged", ()), *(damage.document() for damage in found)]}
+
+
+def check(source: Path) -> dict[str, Any]:
+    """Read everything that a backup holds, and compare it with what it says of itself; nothing is changed.
+
+    Parameters
+    ----------
+    source : Path
+
+    Returns
+    -------
+    dict
+        What it says of itself; under ``damaged`` what it lacked when it was made, and what is damaged in it by now.
+
+    Raises
+    ------
+    BackupError
+        It is no complete backup.
+    """
+    content = read_seal(source)
+    found: list[Damage] = []
+    hashes = read_hashes(source)
+    if hashlib.sha256((source / HASHES).read_bytes() if hashes else b"").hexdigest() != content.get("files_sha256"):
+        found.append(Damage("file", HASHES, "is not what it was" if hashes else "is missing"))
+    for name, sha256 in hashes.items():
+        try:
+            if digest_of(source / name) != sha256:
+                found.append(Damage("file", name, "is not what it was"))
+        except OSError as error:
+            found.append(Damage("file", name, f"cannot be read ({error.strerror})"))
+    known = {each["name"] for each in content.get("damaged", ())}
+    if not any(damage.name == ROWS for damage in found):
+        with opened_copy(source) as copy, tempfile.TemporaryDirectory() as scratch:
+            with open_database(sqlite(Path(scratch) / ROWS)) as again:
+                counts = copy_rows(copy, again, found)
+            for table, count in content["rows"].items():
+                if counts.get(table) != count:
+                    found.append(Damage("row", table, f"{counts.get(table)} rows; there were {count}"))
+            for sha256 in recordings_in(copy):
+                if not recording_path(source, sha256).is_file() and sha256 not in known:
+                    found.append(Damage("recording", sha256, "is missing"))
+    return {**content, "damaged": [*content.get("damaged", ()), *(damage.document() for damage in found)]}
 
 
 def read_seal(source: Path) -> dict[str, Any]:
@@ -199,44 +246,34 @@ def rows_in(database: ServiceDatabase) -> int:
         return sum(session.scalar(select(func.count()).select_from(table)) or 0 for table in TABLES.sorted_tables)
 
 
-def copy_rows(source: ServiceDatabase, target: ServiceDatabase) -> dict[str, int]:
-    """Copy all rows as they are at one moment, in one transaction; returns how many each table has."""
-    counts: dict[str, int] = {}
-    with source.engine.connect() as plain, target.writing() as session:
-        # SQLite shows a transaction one moment anyway.
-        reading = plain if source.is_sqlite else plain.execution_options(isolation_level="REPEATABLE READ")
-        for table in TABLES.sorted_tables:
-            counts[table.name] = 0
-            for chunk in reading.execute(select(table)).mappings().partitions(CHUNK):
-                session.execute(insert(table), [dict(row) for row in chunk])
-                counts[table.name] += len(chunk)
-            if not target.is_sqlite:  # whose counters follow the rows by themselves
-                for column in table.primary_key.columns:
-                    if isinstance(column.type, Integer) and counts[table.name]:
-                        sequence = func.pg_get_serial_sequence(table.name, column.name)
-                        session.execute(select(func.setval(sequence, select(func.max(column)).scalar_subquery())))
-    return counts
+@contextmanager
+def opened_copy(source: Path) -> Iterator[ServiceDatabase]:
+    """The rows of a backup: of an older version they are brought up to date in a copy, not there."""
+    with tempfile.TemporaryDirectory() as scratch:
+        rows = Path(scratch) / ROWS
+        shutil.copyfile(source / ROWS, rows)
+        with open_database(sqlite(rows)) as copy:
+            yield copy
 
 
-def copy_recording(source: Path, target: Path, sha256: str) -> None:
-    """Copy a recording from one folder of data to another, and check that it is what it was."""
-    place = recording_path(target, sha256)
-    place.parent.mkdir(parents=True, exist_ok=True)
-    try:
-        digest = copy_file(recording_path(source, sha256), place)
-    except FileNotFoundError:
-        raise BackupError(f"{source}: the recording {sha256} is missing") from None
-    if digest != sha256:
-        raise BackupError(f"{source}: the recording {sha256} is not what it was")
+def recordings_in(database: ServiceDatabase) -> list[str]:
+    """Return the checksums of the recordings that there are."""
+    query = select(MeasurementRow.sha256).where(MeasurementRow.id.not_in(deleted("measurement")))
+    with database.reading() as session:
+        return sorted(set(session.scalars(query)))
 
 
-def copy_machines(source: Path, target: Path) -> int:
-    """Copy machines that were put there, and what they were before; returns how many."""
+def copy_recording(copier: Copier, source: Path, sha256: str) -> bool:
+    """Bring a recording from a folder of data, if it is what it was; return whether it is there."""
+    return copier.bring(recording_path(source, sha256), str(recording_path(Path(), sha256)), "recording", sha256)
+
+
+def copy_machines(copier: Copier, source: Path) -> int:
+    """Bring machines that were put there, and what they were before; returns how many."""
     files = sorted((source / "machines").rglob("*.json"))
     for file in files:
-        place = target / file.relative_to(source)
-        place.parent.mkdir(parents=True, exist_ok=True)
-        copy_file(file, place)
+        with suppress(FileNotFoundError):  # it was deleted just now
+            copier.bring(file, str(file.relative_to(source)), "machine")
     return sum(file.parent.name == "machines" for file in files)
 
 
@@ -246,47 +283,40 @@ def find_catalogues(place: Place) -> Iterator[tuple[str, Path]]:
         yield place.catalogues.resolve().name, place.catalogues
     elif place.catalogues.is_dir():
         for path in sorted(place.catalogues.iterdir()):
-            if CatalogueDirectory(path).manifest.is_file():
+            if not path.name.startswith(".") and CatalogueDirectory(path).manifest.is_file():
                 yield path.name, path
 
 
-def copy_catalogue(source: Path, target: Path) -> str:
-    """Copy a catalogue as its manifest says it is; one that a build changes meanwhile is copied anew."""
-    manifest = CatalogueDirectory(source).manifest
+def copy_catalogue(copier: Copier, source: Path, name: str, under: str = "catalogues") -> str:
+    """Bring a catalogue as its manifest says it is; one that a build changes meanwhile is brought anew.
+
+    Returns its name; nothing where it could not be brought.
+    """
+    manifest, place = CatalogueDirectory(source).manifest, f"{under}/{name}"
     for _ in range(TRIES):
-        shutil.rmtree(target, ignore_errors=True)
-        before = manifest.read_bytes()
+        copier.forget(place)
+        damaged = list(copier.damaged)
         try:
-            for name in DERIVED:
-                copy_folder(source / name, target / name)
-        except FileNotFoundError:  # the end of a build has put another in its place
-            continue
-        if manifest.read_bytes() == before:
-            publish(target / manifest.name, before)
-            return target.name
-    raise BackupError(f"{source}: changed {TRIES} times while it was copied; try again later")
+            before = digest_of(manifest)
+            for folder in DERIVED:
+                copy_folder(copier, source / folder, f"{place}/{folder}", name)
+            if digest_of(manifest) == before:
+                copier.bring(manifest, f"{place}/{manifest.name}", "catalogue")
+                return name
+        except FileNotFoundError:  # the end of a build has put another in its place, or it was deleted
+            pass
+        copier.damaged[:] = damaged
+    copier.damaged.append(Damage("catalogue", name, f"changed {TRIES} times while it was copied"))
+    return ""
 
 
-def copy_folder(source: Path, target: Path) -> None:
-    """Copy the finished files of a folder and those below it."""
-    target.mkdir(parents=True, exist_ok=True)
+def copy_folder(copier: Copier, source: Path, place: str, catalogue: str) -> None:
+    """Bring the finished files of a folder and those below it; a shard is called by its checksum."""
     for path in sorted(source.iterdir()) if source.is_dir() else ():
         if path.name.startswith("."):
             continue  # somebody is writing it
         if path.is_dir():
-            copy_folder(path, target / path.name)
+            copy_folder(copier, path, f"{place}/{path.name}", catalogue)
         else:
-            copy_file(path, target / path.name)
-    sync_folder(target)
-
-
-def copy_file(source: Path, target: Path) -> str:
-    """Copy a file to the disk; returns the SHA-256 of what was copied."""
-    digest = hashlib.sha256()
-    with open(source, "rb") as reading, open(target, "wb") as writing:
-        while block := reading.read(1 << 20):
-            digest.update(block)
-            writing.write(block)
-        writing.flush()
-        os.fsync(writing.fileno())
-    return digest.hexdigest()
+            wanted = path.stem if path.suffix == ".h5" and source.name == "shards" else None
+            copier.bring(path, f"{place}/{path.name}", f"catalogue {catalogue}", wanted)

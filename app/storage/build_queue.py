@@ -22,6 +22,7 @@ from jointplay.app.schemas.resources import BuildOut, State
 from jointplay.app.storage.audit import note
 from jointplay.app.storage.database import ServiceDatabase
 from jointplay.app.storage.rows import Base, newest, now
+from jointplay.app.storage.tombstones import missing
 from jointplay.app.storage.webhooks import announce
 
 ATTEMPTS = 5
@@ -127,10 +128,13 @@ class BuildQueue:
         ------
         UnknownBuildError
             When there is none of this id.
+        DeletedError
+            When it was deleted.
         """
         row = self._database.find(BuildRow, key)
         if row is None:
-            raise UnknownBuildError(f"build {key[:80]}: there is none of this id")
+            unknown = UnknownBuildError(f"build {key[:80]}: there is none of this id")
+            raise missing(self._database, "build", key, unknown)
         return row
 
     def list_builds(self, before: int | None, limit: int) -> list[BuildRow]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -11,7 +12,7 @@ from pathlib import Path
 
 from filelock import FileLock
 
-from jointplay.app.errors import BadFieldError, PreconditionError, ShippedMachineError, UnknownMachineError
+from jointplay.app.errors import AppError, BadFieldError, PreconditionError, ShippedMachineError, UnknownMachineError
 from jointplay.app.etags import Conditions
 from jointplay.catalogue.storage.directory import publish
 from jointplay.solver.machines.machine import (
@@ -63,11 +64,18 @@ class MachineStore:
         Made when the first machine is put there. Several servers may share it.
     note : callable, optional
         Called with the name of a machine that is about to be another one, and its content keys before and after.
+    missing : callable, optional
+        Returns why there is no machine of a name, from the name and the error for one that never was.
     """
 
-    def __init__(self, directory: Path, note: Callable[[str, str | None, str], None] = lambda *_: None) -> None:
+    def __init__(
+        self,
+        directory: Path,
+        note: Callable[[str, str | None, str], None] = lambda *_: None,
+        missing: Callable[[str, AppError], AppError] = lambda _, never: never,
+    ) -> None:
         self._directory = directory
-        self._note = note
+        self._note, self._missing = note, missing
         self._read: dict[Path, tuple[tuple[int, int, int], Machine]] = {}
 
     def names(self) -> list[str]:
@@ -87,12 +95,34 @@ class MachineStore:
         if found is None and name in shipped_machine_names():
             return shipped_machine(name)
         if found is None:
-            raise UnknownMachineError(f"machine: {name[:80]}: there is none of this name", field="machine")
+            unknown = UnknownMachineError(f"machine: {name[:80]}: there is none of this name", field="machine")
+            raise self._missing(name, unknown)
         return found
 
     def ships(self, name: str) -> bool:
         """Return whether a machine is the one that ships with the program."""
         return name in shipped_machine_names() and not self._file(name).is_file()
+
+    def check_own(self, name: str) -> None:
+        """Refuse a machine that was not put here.
+
+        Raises
+        ------
+        UnknownMachineError
+            When there is none of this name.
+        ShippedMachineError
+            When it ships with the program.
+        """
+        self.find(name)
+        if self.ships(name):
+            raise ShippedMachineError(f"machine: {name}: ships with the program and cannot be deleted")
+
+    def remove(self, name: str) -> None:
+        """Delete a machine that was put here, and what it was before."""
+        with FileLock(self._directory / ".lock"):
+            # The versions first: without them the machine is one that was put here before versions were kept.
+            shutil.rmtree(self._kept(name), ignore_errors=True)
+            self._file(name).unlink(missing_ok=True)
 
     def versions(self, name: str) -> list[int]:
         """Return the numbers of the versions of a machine that was put there, the newest first.

@@ -6,9 +6,8 @@ import hashlib
 import json
 import os
 import tempfile
-import time
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -18,10 +17,13 @@ from sqlalchemy import Select, select, text
 from sqlalchemy.engine import URL
 from sqlalchemy.orm import Session
 
-from jointplay.app.errors import NotReadyError, UnknownDiagnosisError, UnknownMeasurementError
+from jointplay.app.actor import actor
+from jointplay.app.errors import AppError, BusyError, NotReadyError, UnknownDiagnosisError, UnknownMeasurementError
 from jointplay.app.storage import audit
 from jointplay.app.storage.assets import touch_owners
 from jointplay.app.storage.database import ServiceDatabase, database_url
+from jointplay.app.storage.recording_folder import PARTIAL, RECORDINGS, RecordingFiles, recording_path
+from jointplay.app.storage.retention import Quotas, RetentionRow
 from jointplay.app.storage.rows import (
     Base,
     Damaged,
@@ -35,17 +37,9 @@ from jointplay.app.storage.rows import (
     rows_of,
 )
 from jointplay.app.storage.told import Told
+from jointplay.app.storage.tombstones import TombstoneRow, deleted, dig_up, missing, refuse_deleted
 from jointplay.catalogue.diagnosing.answer import Diagnosis
 from jointplay.catalogue.storage.directory import sync_folder
-
-PARTIAL = "partial-"
-"""Beginning of the name of an upload that is on its way."""
-
-RECORDINGS = "measurements"
-"""Folder of uploads."""
-
-ABANDONED_S = 86_400.0
-"""Age from which on nobody is sending it any more."""
 
 
 @dataclass(frozen=True)
@@ -112,11 +106,15 @@ class Store:
         Made when missing.
     url : str
         The database; by default a file of SQLite in the directory.
+    quotas : Quotas, optional
+        How much may be stored; as much as there is space for by default.
 
     Attributes
     ----------
     database : ServiceDatabase
         Other modules keep their tables in it, too.
+    files : RecordingFiles
+        What lies in the folder, and may be deleted.
 
     Raises
     ------
@@ -124,13 +122,14 @@ class Store:
         When the tables in the database are those of another version of the program.
     """
 
-    def __init__(self, directory: Path, url: str = "") -> None:
-        self._directory = directory
-        self._files = directory / RECORDINGS
+    def __init__(self, directory: Path, url: str = "", quotas: Quotas | None = None) -> None:
+        self.directory = directory
+        self._quotas = quotas or Quotas()
+        self._files = directory / RECORDINGS  # of uploads
         self._files.mkdir(parents=True, exist_ok=True)
-        self._tidy()
         file = URL.create("sqlite", database=str(directory / "service.sqlite"))
         self.database = ServiceDatabase(database_url(url) if url else file, Base.metadata)
+        self.files = RecordingFiles(directory, self.database)
         audit.attend(self.database)
         self._session = self.database.session
         self._opened = self._identity()
@@ -200,8 +199,7 @@ class Store:
     def _name(self, upload: Upload) -> None:
         """Give an upload the name of its content, to the disk, before a row says that it is there.
 
-        A file that has this name is never deleted: another server may be about to store the same bytes. So bytes whose
-        row cannot be committed stay, too; they lie there for whoever sends them again.
+        Bytes whose row cannot be committed stay for a while: another server may be about to store the same.
         """
         target = self.path_of(upload.sha256)
         target.parent.mkdir(exist_ok=True)
@@ -213,16 +211,19 @@ class Store:
                 raise
         sync_folder(target.parent)
 
-    def _tidy(self) -> None:
-        """Delete what killed servers left of uploads; young ones may be on their way to another server."""
-        for path in self._files.glob(f"{PARTIAL}*"):
-            with suppress(FileNotFoundError):
-                if path.stat().st_mtime < time.time() - ABANDONED_S:
-                    path.unlink()
+    @contextmanager
+    def _named(self, upload: Upload) -> Iterator[None]:
+        """Give an upload the name of its content for a transaction; it goes again where that is refused."""
+        self._name(upload)
+        try:
+            yield
+        except AppError:
+            self.files.drop([upload.sha256])
+            raise
 
     def path_of(self, sha256: str) -> Path:
         """Return where the bytes with this checksum lie."""
-        return recording_path(self._directory, sha256)
+        return recording_path(self.directory, sha256)
 
     def settle(self, upload: Upload) -> None:
         """Delete an upload, unless it became a measurement."""
@@ -249,9 +250,15 @@ class Store:
             As in :class:`MeasurementRow`, with ``measured_at`` besides: what the file says, in ISO 8601.
         also : callable, optional
             Called with the id in the same transaction.
+
+        Raises
+        ------
+        QuotaError
+            When it is more than may be stored.
+        BusyError
+            When the same bytes were deleted at this moment.
         """
-        self._name(upload)
-        with self.database.writing() as session:
+        with self._named(upload), self.database.writing() as session:
             kept = self._put_measurement(session, upload, name, told or Told(), summary)
             if also is not None:
                 also(session, kept.id)
@@ -261,8 +268,7 @@ class Store:
         self, upload: Upload, name: str, told: Told, summary: Mapping[str, Any], diagnosis: NewDiagnosis
     ) -> DiagnosisRow:
         """Store a measurement and a diagnosis of it in one transaction, as one call after the other would."""
-        self._name(upload)
-        with self.database.writing() as session:
+        with self._named(upload), self.database.writing() as session:
             self._put_measurement(session, upload, name, told, summary)
             kept = self._put_diagnosis(session, diagnosis)
         return kept
@@ -270,6 +276,9 @@ class Store:
     def _put_measurement(
         self, session: Session, upload: Upload, name: str, told: Told, summary: Mapping[str, Any]
     ) -> MeasurementRow:
+        self.files.lock(session, alone=False)
+        if not self.path_of(upload.sha256).is_file():
+            raise BusyError("the same bytes were deleted at this moment; send them again")
         held = dict(summary)
         received, in_file = now(), held.pop("measured_at", None)
         moment = told.measured_at or (datetime.fromisoformat(in_file) if in_file else received)
@@ -285,7 +294,19 @@ class Store:
             "measured_at": moment,
             "measured_at_source": source,
         }
-        kept, new = self._put(session, MeasurementRow, MeasurementRow.seal(row))
+        row = MeasurementRow.seal(row)
+        kept, new = self._put(session, MeasurementRow, row)
+        if not new and dig_up(session, "measurement", kept.id):  # what was deleted is there again, as it is sent now
+            for name_of, value in row.items():
+                setattr(kept, name_of, value)
+            session.flush()
+            touch_owners(session, kept.id)
+            new = True
+        if new:
+            if (by := actor().key) is not None:
+                session.merge(RetentionRow(measurement=kept.id, said=None, hold=None, changed_by="", stored_by=by))
+                session.flush()
+            self._quotas.take(session, upload.size)
         is_first_told = source == "file" and kept.measured_at_source == "received"
         if new:
             audit.note(session, "made", "measurement", kept.id, after=about_measurement(kept))
@@ -308,11 +329,26 @@ class Store:
         ------
         UnknownMeasurementError
             When there is none of this id.
+        DeletedError
+            When it was deleted.
         """
         row = one_of(self.database, MeasurementRow, key)
         if row is None:
             raise UnknownMeasurementError(f"measurement {key[:80]}: there is none of this id", field="measurement")
+        with self._session() as session:
+            refuse_deleted(session, "measurement", [key])
         return row
+
+    def measurement_of(self, diagnosis: DiagnosisRow) -> MeasurementRow:
+        """Return the measurement of a diagnosis, of several the first; also when it was deleted."""
+        with self._session() as session:
+            return session.scalars(select(MeasurementRow).filter_by(id=diagnosis.measurement)).one()
+
+    def deleted_of(self, diagnosis: DiagnosisRow) -> list[str]:
+        """Return which of the measurements of a diagnosis were deleted."""
+        with self._session() as session:
+            gone = set(session.scalars(deleted("measurement").where(TombstoneRow.id.in_(diagnosis.measurements))))
+        return [key for key in diagnosis.measurements if key in gone]
 
     def correct_moment(self, key: str, measured_at: datetime) -> MeasurementRow:
         """Note when a stored measurement was made, as somebody says, and return it.
@@ -333,6 +369,7 @@ class Store:
     ) -> list[MeasurementRow]:
         """Return measurements of some ids that were made from a moment on, and before another, the first first."""
         query = select(MeasurementRow).where(MeasurementRow.id.in_(among), MeasurementRow.measured_at >= since)
+        query = query.where(MeasurementRow.id.not_in(deleted("measurement")))
         if until is not None:
             query = query.where(MeasurementRow.measured_at < until)
         with self._session() as session:
@@ -345,6 +382,7 @@ class Store:
             return self._put_diagnosis(session, diagnosis)
 
     def _put_diagnosis(self, session: Session, diagnosis: NewDiagnosis) -> DiagnosisRow:
+        refuse_deleted(session, "measurement", diagnosis.request.get("measurements") or [diagnosis.measurement])
         kept, new = self._put(session, DiagnosisRow, DiagnosisRow.seal(diagnosis.row()))
         if new:
             told = {"measurements": list(kept.measurements), "catalogue": kept.catalogue, **kept.request}
@@ -361,10 +399,13 @@ class Store:
         ------
         UnknownDiagnosisError
             When there is none of this id.
+        DeletedError
+            When it was deleted.
         """
         row = one_of(self.database, DiagnosisRow, key)
         if row is None:
-            raise UnknownDiagnosisError(f"diagnosis {key[:80]}: there is none of this id")
+            unknown = UnknownDiagnosisError(f"diagnosis {key[:80]}: there is none of this id")
+            raise missing(self.database, "diagnosis", key, unknown)
         return row
 
     def diagnoses(
@@ -399,10 +440,18 @@ class Store:
         limit: int,
         among: Select[str] | None = None,
         damaged: list[Damaged] | None = None,
+        *,
+        gone: bool = False,
     ) -> list[MeasurementRow]:
-        """Return measurements, the newest first, from below a row number on; the rest as for :meth:`diagnoses`."""
+        """Return measurements, the newest first, from below a row number on; the rest as for :meth:`diagnoses`.
+
+        Those that were deleted occur, too, where `gone` is true: diagnoses go on speaking of them.
+        """
         with self._session() as session:
-            return rows_of(session, MeasurementRow, newest(session, MeasurementRow, before, limit, among), damaged)
+            query = newest(session, MeasurementRow, before, limit, among)
+            if not gone:
+                query = query.where(MeasurementRow.id.not_in(deleted("measurement")))
+            return rows_of(session, MeasurementRow, query, damaged)
 
 
 def correct(session: Session, row: MeasurementRow, moment: datetime, source: MomentSource) -> None:
@@ -418,11 +467,6 @@ def about_measurement(row: MeasurementRow) -> dict[str, Any]:
     """Return what the audit log says of a measurement."""
     names = ("sha256", "name", "size_bytes", "said", "measured_at", "measured_at_source")
     return {name: getattr(row, name) for name in names}
-
-
-def recording_path(directory: Path, sha256: str) -> Path:
-    """Return where the bytes with a checksum lie below a folder of data."""
-    return directory / RECORDINGS / sha256[:2] / sha256
 
 
 def measurement_key(sha256: str, name: str, told: Told) -> str:

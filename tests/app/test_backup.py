@@ -2,20 +2,36 @@
 
 from __future__ import annotations
 
+import hashlib
+import io
+import json
+import shutil
+import sqlite3
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
+from typing import Any
 
 import databases
 import httpx
 import pytest
 from command_line import assert_refused, invoke
 from small_service import serving
+from sqlalchemy import text
 
+from jointplay.app.errors import DeletedError
+from jointplay.app.etags import Conditions
 from jointplay.app.routes.machines import MACHINE_FILE
 from jointplay.app.settings import ServiceSettings
+from jointplay.app.storage.backup import Place, back_up, check, restore
+from jointplay.app.storage.copying import digest_of
+from jointplay.app.storage.machine_store import MachineStore
+from jointplay.app.storage.removal import Removal
+from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
+from jointplay.app.storage.store import Store
+from jointplay.solver.machines.machine import shipped_machine
 
 API = "/api/v1"
 DIAGNOSE = {"catalogue": "slider-crank", "effort": "fast"}
@@ -113,18 +129,172 @@ def test_a_backup_of_a_working_service_gives_the_same_answers(
         assert_refused(invoke("restore", tmp_path / "copy", *places), 2, "holds data already")
 
 
-def test_what_is_no_backup_is_refused(tmp_path: Path, worn: bytes) -> None:
+def test_what_is_no_backup_is_refused(tmp_path: Path) -> None:
     data, places = tmp_path / "data", ["--catalogues", tmp_path / "c", "--data", tmp_path / "data"]
     assert_refused(invoke("backup", tmp_path / "copy", *places), 2, "holds no data of a service")
-    with service(ServiceSettings(catalogues=tmp_path / "c", data=data, builds=0, workers=1)) as client:
-        client.post(f"{API}/measurements", files={"file": ("w.csv", worn)}).raise_for_status()
+    with closing(Store(data)):
+        pass
     assert_refused(invoke("backup", data, *places), 2, "must be a new or empty folder")
-    (kept,) = (path for path in (data / "measurements").rglob("*") if path.is_file())
-    kept.write_bytes(b"other bytes")
-    assert_refused(invoke("backup", tmp_path / "copy", *places), 2, f"the recording {kept.name} is not what it was")
-    kept.unlink()
-    assert_refused(invoke("backup", tmp_path / "second", *places), 2, f"the recording {kept.name} is missing")
+    assert_refused(invoke("backup", tmp_path / "copy", *places, "--last", tmp_path), 2, "is no complete backup")
     new = ["--catalogues", tmp_path / "c", "--data", tmp_path / "new"]
-    for broken in ("copy", "second", "nothing"):
+    (tmp_path / "empty").mkdir()
+    for broken in ("empty", "nothing"):
         assert_refused(invoke("restore", tmp_path / broken, *new), 2, "is no complete backup")
+        assert_refused(invoke("restore", tmp_path / broken, "--check"), 2, "is no complete backup")
     assert not (tmp_path / "new").exists()
+
+
+class Kept:
+    """A service's data without a service: recordings of a megabyte, one of them with a diagnosis, and a machine."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.place = Place(folder / "data", folder / "catalogues", "")
+        self.rows: list[MeasurementRow] = []
+        shards = folder / "catalogues" / "made" / "shards"
+        shards.mkdir(parents=True)
+        (shards.parent / "manifest.json").write_text("{}")
+        content = b"shard" * 50_000
+        self.shard = shards / f"{hashlib.sha256(content).hexdigest()}.h5"
+        self.shard.write_bytes(content)
+        with closing(Store(self.place.data)) as store:
+            MachineStore(self.place.data / "machines").put("mine", machine(), Conditions())
+            self.add(store, 3)
+            self.file = store.path_of(self.rows[0].sha256)
+
+    def add(self, store: Store, count: int) -> None:
+        for _ in range(count):
+            upload = store.receive(io.BytesIO(bytes([len(self.rows)]) * 1_000_000))
+            self.rows.append(store.add_measurement(upload, "a.csv", None, {"channels": []}))
+
+    def copy(self, name: str, last: str = "") -> dict[str, Any]:
+        return back_up(self.place, self.folder / name, last=self.folder / last if last else None)
+
+    def brought(self, name: str) -> tuple[dict[str, Any], Place]:
+        place = Place(self.folder / "new", self.folder / "shelf", "")
+        return restore(self.folder / name, place), place
+
+
+def machine() -> str:
+    return shipped_machine("slider-crank").canonical_json()
+
+
+@pytest.fixture
+def kept(tmp_path: Path) -> Kept:
+    return Kept(tmp_path)
+
+
+def test_a_second_backup_copies_what_is_new(kept: Kept) -> None:
+    first = kept.copy("one")
+    assert (first["recordings"], first["damaged"], first["linked_bytes"]) == (3, [], 0)
+    assert first["copied_bytes"] > 3_250_000
+    with closing(Store(kept.place.data)) as store:
+        kept.add(store, 1)
+    second = kept.copy("two", last="one")
+    assert second["linked_bytes"] == 3_250_000 + (kept.folder / "two/machines/mine.json").stat().st_size + sum(
+        path.stat().st_size for path in (kept.folder / "two/machines/versions").rglob("*.json")
+    ) + len("{}")
+    assert second["copied_bytes"] == 1_000_000
+    assert check(kept.folder / "two")["damaged"] == []
+    shutil.rmtree(kept.folder / "one")  # each is whole by itself
+    assert check(kept.folder / "two")["damaged"] == []
+    said, place = kept.brought("two")
+    assert said["damaged"] == []
+    assert (place.catalogues / "made" / "shards" / kept.shard.name).read_bytes() == kept.shard.read_bytes()
+    with closing(Store(place.data)) as store:
+        assert [row.id for row in store.measurements(None, 9)] == [row.id for row in reversed(kept.rows)]
+        assert all(store.path_of(row.sha256).stat().st_size == 1_000_000 for row in kept.rows)
+
+
+@pytest.mark.parametrize("how", ["is not what it was", "is missing"])
+def test_a_backup_goes_on_past_damage_and_says_so(kept: Kept, how: str) -> None:
+    kept.copy("before")
+    for path in (kept.file, kept.shard):
+        if how == "is missing" and path is kept.file:
+            path.unlink()
+        else:
+            path.write_bytes(b"other bytes")
+    damaged = [
+        {"what": "recording", "name": kept.rows[0].sha256, "how": how},
+        {"what": "catalogue made", "name": kept.shard.stem, "how": "is not what it was"},
+    ]
+    places = ["--catalogues", kept.place.catalogues, "--data", kept.place.data]
+    result = invoke("backup", kept.folder / "copy", *places)
+    assert result.exit_code == 1
+    assert f"2 damaged, copied all the same: recording {kept.rows[0].sha256} {how}" in result.stderr
+    assert f"damaged: recording {kept.rows[0].sha256}: {how}" in result.stdout
+    sealed = json.loads((kept.folder / "copy" / "backup.json").read_text())
+    assert (sealed["damaged"], sealed["recordings"]) == (damaged, 2)
+    assert check(kept.folder / "copy")["damaged"] == damaged  # nothing more than it says
+    brought, place = kept.brought("copy")
+    assert brought["damaged"] == damaged
+    with closing(Store(place.data)) as store:
+        assert len(store.measurements(None, 9)) == 3
+        assert [store.path_of(row.sha256).is_file() for row in kept.rows] == [False, True, True]
+
+    healed = kept.copy("healed", last="before")  # what the last backup has
+    told = [each["how"].partition("; ") for each in healed["damaged"]]
+    assert told == [(each["how"], "; ", "taken from the last backup") for each in damaged]
+    assert healed["recordings"] == 3
+    again = check(kept.folder / "healed")["damaged"]
+    assert again == healed["damaged"]
+
+
+def test_rows_that_cannot_be_read_are_left_out(kept: Kept) -> None:
+    with closing(Store(kept.place.data)) as store:
+        with store.database.writing() as session:
+            session.add(diagnosed(kept.rows[1]))
+        with store.database.engine.begin() as connection:
+            spoil = text("UPDATE measurements SET summary = '{' || :half WHERE id = :id")
+            connection.execute(spoil, {"half": chr(34), "id": kept.rows[1].id})
+    copied = kept.copy("copy")
+    assert [(each["what"], each["name"], each["how"]) for each in copied["damaged"]] == [
+        ("row", "measurements 2", "cannot be read (JSONDecodeError)"),
+        ("row", "diagnoses 1", "speaks of what is lost"),
+    ]
+    assert (copied["rows"]["measurements"], copied["rows"]["diagnoses"], copied["recordings"]) == (2, 0, 2)
+    assert check(kept.folder / "copy")["damaged"] == copied["damaged"]
+    _, place = kept.brought("copy")
+    with closing(Store(place.data)) as store:
+        assert len(store.measurements(None, 9)) == 2
+
+
+def test_a_backup_that_has_rotted_is_found_out(kept: Kept) -> None:
+    kept.copy("copy")
+    folder = kept.folder / "copy"
+    assert invoke("restore", folder, "--check").exit_code == 0
+    recording = folder / kept.file.relative_to(kept.place.data)
+    recording.chmod(0o600)
+    recording.write_bytes(b"1")
+    (folder / "machines" / "mine.json").unlink()
+    result = invoke("restore", folder, "--check")
+    assert result.exit_code == 1
+    assert "2 damaged, checked all the same" in result.stderr
+    assert f"damaged: file measurements/{recording.parent.name}/{recording.name}: is not what it was" in result.stdout
+    assert "damaged: file machines/mine.json: cannot be read (No such file or directory)" in result.stdout
+    brought, _ = kept.brought("copy")
+    assert [each["how"] for each in brought["damaged"]] == ["is not what it was"]
+    with sqlite3.connect(folder / "service.sqlite") as rows:
+        rows.execute("DELETE FROM measurements WHERE number = 3")
+    rows.close()
+    hashes = folder / "files.sha256"
+    lines = [line for line in hashes.read_text().splitlines() if not line.endswith("service.sqlite")]
+    hashes.write_text("\n".join([*lines, f"{digest_of(folder / 'service.sqlite')}  service.sqlite", ""]))
+    found = {each["name"]: each["how"] for each in check(folder)["damaged"]}
+    assert found["files.sha256"] == "is not what it was"
+    assert found["measurements"] == "2 rows; there were 3"
+
+
+def test_what_was_deleted_is_in_no_backup_and_stays_deleted(kept: Kept) -> None:
+    with closing(Store(kept.place.data)) as store:
+        Removal(store).delete_measurement(kept.rows[0].id, "left")
+    assert kept.copy("copy")["recordings"] == 2
+    said, place = kept.brought("copy")
+    assert said["damaged"] == []
+    with closing(Store(place.data)) as store, pytest.raises(DeletedError, match="left"):
+        store.measurement(kept.rows[0].id)
+
+
+def diagnosed(row: MeasurementRow) -> DiagnosisRow:
+    members: dict[str, Any] = {"machine": {}, "request": {"measurements": None}, "result": {}}
+    return DiagnosisRow(id="d" * 32, measurement=row.id, catalogue="c", created_at=row.created_at, **members)

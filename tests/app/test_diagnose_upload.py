@@ -1,4 +1,4 @@
-"""A recording sent with its question: read once, and kept whatever becomes of the question."""
+"""A recording sent with its question: read once, and kept with its answer, or not at all."""
 
 from __future__ import annotations
 
@@ -15,12 +15,15 @@ from jointplay.app.jobs import tasks
 from jointplay.app.jobs.build_runner import BuildRunner
 from jointplay.app.jobs.workers import TaskFailedError, WorkerPool, attempt
 from jointplay.app.metrics import Metrics
+from jointplay.app.schemas.assets import AssetIn
 from jointplay.app.schemas.resources import DiagnosisRequest
 from jointplay.app.service import Service
 from jointplay.app.settings import ServiceSettings
 from jointplay.app.shelves.catalogues import CatalogueShelf
+from jointplay.app.storage.assets import Assets
 from jointplay.app.storage.build_queue import BuildQueue
 from jointplay.app.storage.machine_store import MachineStore
+from jointplay.app.storage.remembered import Remembered
 from jointplay.app.storage.rows import DiagnosisRow
 from jointplay.app.storage.store import Store, measurement_key
 from jointplay.app.storage.told import Told
@@ -62,7 +65,10 @@ def ask(service: Service, content: bytes, **members: Any) -> DiagnosisRow:
 
 
 def kept(service: Service) -> int:
-    return len(service.store.measurements(None, 10))
+    """Rows and files, of samples too."""
+    rows = len(service.store.measurements(None, 10))
+    folders = (service.store.directory / name for name in ("measurements", "signals"))
+    return rows + len([path for folder in folders for path in folder.rglob("*") if path.is_file()])
 
 
 def test_the_recording_is_read_once(shelf: Path, tmp_path: Path, worn: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -91,34 +97,42 @@ def test_the_recording_is_read_once(shelf: Path, tmp_path: Path, worn: bytes, mo
         ({"catalogue": "nonsense"}, UnknownCatalogueError, "catalogue: nonsense"),
         ({"speed": "3 kg"}, BadFieldError, "speed: 3 kg"),
         ({"mapping": {"x": "y"}}, TaskFailedError, "s1-x"),
+        ({"asset": "press-7"}, TaskFailedError, "s1-x"),  # what is remembered of its files does not fit
     ],
 )
-def test_a_recording_stays_when_its_question_is_refused(
+def test_what_is_refused_is_not_kept(
     shelf: Path, tmp_path: Path, worn: bytes, members: dict[str, Any], error: type[Exception], said: str
 ) -> None:
     service = service_of(shelf, tmp_path, Here())
+    columns = worn.partition(b"\n")[0].decode().split(",")
+    names = [name.partition(" [")[0].strip() for name in columns if not name.startswith("t")]
+    Assets(service.store.database).put("press-7", AssetIn(machine="slider-crank"))
+    with service.store.database.writing() as session:
+        Remembered(service.store.database).remember(session, "press-7", names, {}, dict.fromkeys(names[:1], "y"))
     with pytest.raises(error, match=said):
         ask(service, worn, **members)
-    assert kept(service) == 1
+    assert kept(service) == 0
     assert service.store.diagnoses(None, 10) == []
 
 
 @pytest.mark.parametrize("failure", [TimeLimitError("stopped"), WorkerDiedError("ended")])
-def test_a_recording_stays_when_its_diagnosis_fails(
-    shelf: Path, tmp_path: Path, worn: bytes, failure: AppError
-) -> None:
+def test_a_recording_goes_when_its_diagnosis_fails(shelf: Path, tmp_path: Path, worn: bytes, failure: AppError) -> None:
     pool = Here(failure)
     service = service_of(shelf, tmp_path, pool)
     with pytest.raises(type(failure), match=str(failure)):
         ask(service, worn)
-    assert pool.asked == ["summarise_and_diagnose", "summarise"]
-    assert kept(service) == 1
+    assert pool.asked == ["summarise_and_diagnose"]
+    assert kept(service) == 0
 
 
-@pytest.mark.parametrize("members", [{}, {"catalogue": "nonsense"}])
-def test_what_cannot_be_read_is_not_kept(shelf: Path, tmp_path: Path, members: dict[str, str]) -> None:
+@pytest.mark.parametrize(
+    ("members", "error", "said"),
+    [({}, TaskFailedError, r"worn\.csv"), ({"catalogue": "nonsense"}, UnknownCatalogueError, "catalogue: nonsense")],
+)
+def test_what_cannot_be_read_is_not_kept(
+    shelf: Path, tmp_path: Path, members: dict[str, str], error: type[Exception], said: str
+) -> None:
     service = service_of(shelf, tmp_path, Here())
-    with pytest.raises(TaskFailedError, match=r"worn\.csv"):
+    with pytest.raises(error, match=said):
         ask(service, b"no recording", **members)
     assert kept(service) == 0
-    assert not [path for path in (tmp_path / "measurements").rglob("*") if path.is_file()]

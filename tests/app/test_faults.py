@@ -8,7 +8,6 @@ import os
 import select
 import socket
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -25,7 +24,7 @@ from starlette.datastructures import UploadFile
 
 from jointplay.app.problems import foreseen, problem_of
 from jointplay.app.settings import ServiceSettings
-from jointplay.app.storage.store import ABANDONED_S, PARTIAL, Store
+from jointplay.app.storage.store import Store
 from jointplay.catalogue.errors import CatalogueFileError
 from jointplay.catalogue.storage.directory import publish
 
@@ -109,17 +108,6 @@ def test_what_is_acknowledged_was_synced_and_then_committed(tmp_path: Path, monk
     with store.database.engine.connect() as connection:
         assert connection.scalar(text("PRAGMA synchronous")) == 2  # FULL: a commit waits for the disk
     store.close()
-
-
-def test_what_killed_servers_left_of_uploads_goes(tmp_path: Path) -> None:
-    Store(tmp_path).close()
-    old, young = (tmp_path / "measurements" / f"{PARTIAL}{name}" for name in ("old", "young"))
-    for path in (old, young):
-        path.write_bytes(b"half")
-    then = time.time() - ABANDONED_S - 60
-    os.utime(old, (then, then))
-    Store(tmp_path).close()
-    assert (old.exists(), young.exists()) == (False, True)
 
 
 class Line:
