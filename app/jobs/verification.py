@@ -6,7 +6,13 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from jointplay.app.errors import AppError, RecordingDamagedError, RecordingMissingError, UnknownMeasurementError
+from jointplay.app.errors import (
+    AppError,
+    DeletedError,
+    RecordingDamagedError,
+    RecordingMissingError,
+    UnknownMeasurementError,
+)
 from jointplay.app.jobs import tasks
 from jointplay.app.storage.recording_files import check_file
 from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
@@ -104,7 +110,7 @@ def evidence_of(store: Store, keys: tuple[str, ...]) -> tuple[list[MeasurementRo
     for key in keys:
         try:
             row = store.measurement(key)
-        except UnknownMeasurementError as error:
+        except (DeletedError, UnknownMeasurementError) as error:
             found.append(Evidence(key, "", "missing", str(error)))
             continue
         try:

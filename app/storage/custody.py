@@ -18,6 +18,7 @@ from jointplay.app.storage.audit import AuditLog
 from jointplay.app.storage.recording_files import check_file
 from jointplay.app.storage.rows import Damaged, DiagnosisRow, MeasurementRow, rows_of
 from jointplay.app.storage.store import Store
+from jointplay.app.storage.tombstones import deleted
 
 Kind = Literal["row", "recording", "audit"]
 KINDS: tuple[Kind, ...] = ("row", "recording", "audit")
@@ -75,10 +76,11 @@ def look_at_rows(store: Store) -> Iterator[Step]:
 
 
 def look_at_recordings(store: Store) -> Iterator[Step]:
-    """Look at all recordings that rows speak of."""
+    """Look at all recordings that rows speak of; those that were deleted are to be missing."""
     last = ""
+    there = select(MeasurementRow.sha256).where(MeasurementRow.id.not_in(deleted("measurement"))).distinct()
     while True:
-        query = select(MeasurementRow.sha256).where(MeasurementRow.sha256 > last).distinct()
+        query = there.where(MeasurementRow.sha256 > last)
         with store.database.reading() as session:
             found = list(session.scalars(query.order_by(MeasurementRow.sha256).limit(CHUNK)))
         for sha256 in found:
