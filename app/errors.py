@@ -103,6 +103,14 @@ class UnknownWebhookError(AppError):
     """No webhook has this id."""
 
 
+class UnknownDeliveryError(AppError):
+    """A webhook has no delivery of this id."""
+
+
+class WebhookDisabledError(AppError):
+    """A webhook that was given up, and is told nothing."""
+
+
 class UnknownPageError(AppError):
     """No page of the web form has this address."""
 

@@ -86,6 +86,7 @@ def create_app(settings: ServiceSettings | None = None, *, warm: bool = False) -
     @asynccontextmanager
     async def lifespan(application: FastAPI) -> AsyncIterator[None]:
         store = Store(chosen.data, chosen.database, Quotas(*chosen.quotas))
+        store.database.limit_waits()
         log = LogSettings(chosen.log_format, chosen.log_level)
         pool = WorkerPool(chosen.workers, chosen.queue_limit, chosen.time_limit_s, log, metrics)
         kept_here = (partial(note_machine, store.database), partial(missing, store.database, "machine"))

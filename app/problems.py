@@ -101,6 +101,8 @@ TABLE: dict[type[Exception], ProblemKind] = {
     errors.NothingToFollowError: ProblemKind(404, "nothing-to-follow", "Nothing to follow yet"),
     errors.UnknownFindingError: ProblemKind(404, "unknown-finding", "No such finding"),
     errors.UnknownWebhookError: ProblemKind(404, "unknown-webhook", "No such webhook"),
+    errors.UnknownDeliveryError: ProblemKind(404, "unknown-delivery", "No such delivery"),
+    errors.WebhookDisabledError: ProblemKind(409, "webhook-disabled", "The webhook is disabled"),
     errors.UnknownPageError: ProblemKind(404, "unknown-page", "No such page"),
     errors.BadRequestError: ProblemKind(400, "unreadable-request", "The request cannot be read"),
     errors.BadFieldError: ProblemKind(422, "invalid-field", "A field breaks a rule"),

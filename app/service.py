@@ -11,6 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from anyio import CapacityLimiter
 from cachetools import TTLCache
 from sqlalchemy.orm import Session
 from starlette.concurrency import run_in_threadpool
@@ -48,6 +49,10 @@ from jointplay.solver.machines.units import speed_to_si
 
 FORECASTS, FORECAST_S = 64, 600.0
 """Forecasts of builds that are kept, and for how long [s]: the computer may be busier later."""
+
+
+LOOKS = 8
+"""Looks at a time whether the service is ready."""
 
 
 @dataclass(frozen=True)
@@ -93,6 +98,8 @@ class Service:
     )
     stopping: threading.Event = field(default_factory=threading.Event)
     """Set when the server is to stop: answers that go on and on then end."""
+    looks: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(LOOKS))
+    """Threads that look whether all is well: those of requests may all wait for what is not."""
 
     @property
     def samples(self) -> str:

@@ -30,6 +30,8 @@ from jointplay.app.http.uploads import MULTIPART
 from jointplay.app.metrics import Metrics
 from jointplay.app.scopes import API
 from jointplay.app.service import Service
+from jointplay.app.storage.rows import now
+from jointplay.app.storage.webhooks import Webhooks
 
 POLICY = "; ".join(
     (
@@ -184,14 +186,15 @@ class State(Collector):
         for offer in offers:
             entries.add_metric([offer.description.name], offer.description.entries)
         yield entries
-        yield from self._builds()
+        yield from self._rows()
         yield self._memory()
 
-    def _builds(self) -> Iterator[Metric]:
+    def _rows(self) -> Iterator[Metric]:
         try:
             counts, running = self._service.builds.counts()
+            backlog = Webhooks(self._service.store.database).backlog(now())
         except SQLAlchemyError as error:
-            log.warning("metrics without builds: %s", str(error).partition("\n")[0])
+            log.warning("metrics without the database: %s", str(error).partition("\n")[0])
             yield gauge("database_up", "Whether the database answers.", 0)
             return
         yield gauge("database_up", "Whether the database answers.", 1)
@@ -202,6 +205,9 @@ class State(Collector):
         yield gauge("builds_running_cases_done", "Cases done, of builds that run.", running.done)
         yield gauge("builds_running_cases", "All cases of builds that run.", running.total)
         yield gauge("builds_cases_per_second", "Cases a second, of builds that run.", running.rate)
+        yield gauge("webhook_deliveries_waiting", "Deliveries to webhooks that are to be made.", backlog.waiting)
+        yield gauge("webhook_oldest_delivery_seconds", "Age of the oldest of them.", backlog.age_s)
+        yield gauge("webhooks_disabled", "Webhooks at which nothing succeeded for days.", backlog.disabled)
 
     def _memory(self) -> Metric:
         family = GaugeMetricFamily("jointplay_memory_bytes", "Resident memory of a process.", labels=["process"])

@@ -20,13 +20,22 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from jointplay.app.errors import BadFieldError
 from jointplay.app.storage.rows import now
-from jointplay.app.storage.webhooks import SIGNATURE, Taken, Webhooks, signature, standard_signature
+from jointplay.app.storage.webhooks import (
+    GIVEN_UP_AFTER,
+    SIGNATURE,
+    Taken,
+    Webhooks,
+    signature,
+    standard_signature,
+)
 
 log = logging.getLogger(__name__)
 
 TIMEOUT_S = 10.0
 DEADLINE_S = 30.0
 PAUSE_S = 1.0
+LANES = 8
+"""Deliveries that are made beside each other, each for another webhook."""
 LONGEST_URL = 2000
 
 
@@ -202,7 +211,7 @@ def send(taken: Taken, private: bool) -> None:
 
 
 class WebhookSender:
-    """A thread that makes deliveries as they fall due.
+    """Makes deliveries as they fall due: one at a time for each webhook, those of several beside each other.
 
     Parameters
     ----------
@@ -218,47 +227,84 @@ class WebhookSender:
         self._webhooks = webhooks
         self._private = private
         self._stop = threading.Event()
+        self._wake = threading.Event()
         self._thread = threading.Thread(target=self._run, name="webhooks", daemon=True)
+        self._busy: dict[str, Taken] = {}
 
     def start(self) -> None:
         """Begin; what earlier servers left is taken up."""
         self._thread.start()
 
     def close(self) -> None:
-        """End; an attempt in progress is waited for as long as a wait of its own may take."""
+        """End; attempts in progress are waited for as long as a wait of their own may take."""
         self._stop.set()
+        self._wake.set()
+        until = time.monotonic() + TIMEOUT_S
         if self._thread.is_alive():
             self._thread.join(TIMEOUT_S)
+        while self._busy and time.monotonic() < until:
+            time.sleep(0.05)
 
     def _run(self) -> None:
         while not self._stop.is_set():
+            self._wake.clear()
             try:
-                busy = self.step()
+                busy = self._begin()
             except SQLAlchemyError as error:
                 log.warning("webhooks wait for the database: %s", type(error).__name__)
                 busy = False
             if not busy:
-                self._stop.wait(PAUSE_S)
+                self._wake.wait(PAUSE_S)
+
+    def _begin(self) -> bool:
+        """Begin the delivery that is due for longest and can be made beside the others; return whether there was one.
+
+        Webhooks at which nothing succeeds have half of the lanes: what they take must not keep the others waiting.
+        """
+        busy = dict(self._busy)
+        if len(busy) >= LANES:
+            return False
+        troubled = sum(each.troubled for each in busy.values())
+        taken = self._webhooks.take(now(), busy.keys(), troubled=troubled < LANES // 2)
+        if taken is None:
+            return False
+        self._busy[taken.webhook] = taken
+        threading.Thread(target=self._serve, args=(taken,), name=f"webhook-{taken.webhook}", daemon=True).start()
+        return True
+
+    def _serve(self, taken: Taken) -> None:
+        try:
+            self._deliver(taken)
+        except SQLAlchemyError as error:  # it is due again after its lease
+            log.warning("webhook delivery %s cannot be noted: %s", taken.id, type(error).__name__)
+        finally:
+            del self._busy[taken.webhook]
+            self._wake.set()
 
     def step(self) -> bool:
         """Make the delivery that is due for longest; return whether there was one."""
         taken = self._webhooks.take(now())
         if taken is None:
             return False
+        self._deliver(taken)
+        return True
+
+    def _deliver(self, taken: Taken) -> None:
         try:
             send(taken, self._private)
         except (NotDeliveredError, BadFieldError) as error:
             log.warning("webhook delivery %s, attempt %d: %s", taken.id, taken.attempts, error)
             self._fail(taken, str(error))
         except Exception:
-            # Whatever it is, it must neither end the thread nor come again without end.
+            # Whatever it is, it must not come again without end.
             log.exception("webhook delivery %s, attempt %d", taken.id, taken.attempts)
             self._fail(taken, "failed in a way that was not foreseen; the log has the details")
         else:
             self._webhooks.settle(taken, now())
             self._count("delivered")
-        return True
 
     def _fail(self, taken: Taken, error: str) -> None:
-        self._webhooks.settle(taken, now(), error)
+        if self._webhooks.settle(taken, now(), error):
+            days = GIVEN_UP_AFTER.days
+            log.error("webhook %s is disabled: nothing succeeded there for %d days: %s", taken.webhook, days, error)
         self._count("given_up" if taken.is_last else "failed")

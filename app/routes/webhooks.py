@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+
 from fastapi import APIRouter, Depends, Request, Response
 from starlette.concurrency import run_in_threadpool
 
@@ -14,7 +16,7 @@ from jointplay.app.routes.machines import Cursor, Limit
 from jointplay.app.schemas.resources import DeliveryOut, DeliveryPage, WebhookIn, WebhookMade, WebhookOut, WebhookPage
 from jointplay.app.service import of_request
 from jointplay.app.storage.idempotency import IdempotencyKey, once
-from jointplay.app.storage.webhooks import WebhookRow, Webhooks, place_of
+from jointplay.app.storage.webhooks import DeliveryRow, TroubleRow, WebhookRow, Webhooks, place_of
 
 router = APIRouter(prefix="/webhooks", tags=["webhooks"])
 
@@ -46,16 +48,26 @@ def webhooks(request: Request, cursor: Cursor = None, limit: Limit = None) -> We
     """List the webhooks, the newest first."""
     service = of_request(request)
     size = limit or service.settings.page_size
-    rows = Webhooks(service.store.database).page(paging.decode_number(cursor), size + 1)
+    found = Webhooks(service.store.database)
+    rows = found.page(paging.decode_number(cursor), size + 1)
     shown, following = paging.cut(rows, size)
-    return WebhookPage(items=[webhook_out(row) for row in shown], next_cursor=following)
+    troubles = found.troubles([row.id for row in shown])
+    return WebhookPage(items=[webhook_out(row, troubles.get(row.id)) for row in shown], next_cursor=following)
 
 
 @router.get("/{key}", response_model=WebhookOut, responses=problems(404))
-async def webhook(request: Request, key: str) -> Response:
-    """Return one webhook, without its secret."""
-    row = await run_in_threadpool(Webhooks(of_request(request).store.database).webhook, key)
-    return respond(request, Response(webhook_out(row).model_dump_json(), media_type=JSON_TYPE), row.id)
+def webhook(request: Request, key: str) -> Response:
+    """Return one webhook, without its secret, and how it goes with it."""
+    found = Webhooks(of_request(request).store.database)
+    row = found.webhook(key)
+    document = Response(webhook_out(row, found.troubles([row.id]).get(row.id)).model_dump_json(), media_type=JSON_TYPE)
+    return respond(request, document, hashlib.sha256(document.body).hexdigest())
+
+
+@router.post("/{key}/test", status_code=202, responses=problems(404))
+def test(request: Request, key: str) -> DeliveryOut:
+    """Send an event `webhook.test`, once; where it succeeds, a webhook that was disabled is enabled again."""
+    return delivery_out(Webhooks(of_request(request).store.database).test(key))
 
 
 @router.delete("/{key}", status_code=204, responses=problems(404))
@@ -72,21 +84,37 @@ def deliveries(request: Request, key: str, cursor: Cursor = None, limit: Limit =
     size = limit or service.settings.page_size
     rows = found.deliveries(found.webhook(key).id, paging.decode_number(cursor), size + 1)
     shown, following = paging.cut(rows, size)
-    items = [
-        DeliveryOut(
-            id=row.id,
-            event=row.event,
-            state=row.state,
-            attempts=row.attempts,
-            error=row.error,
-            created_at=row.created_at,
-            due_at=row.due_at if row.state == "waiting" else None,
-        )
-        for row in shown
-    ]
-    return DeliveryPage(items=items, next_cursor=following)
+    return DeliveryPage(items=[delivery_out(row) for row in shown], next_cursor=following)
 
 
-def webhook_out(row: WebhookRow) -> WebhookOut:
+@router.post("/{key}/deliveries/{delivery}/redelivery", status_code=202, responses=problems(404, 409))
+def redeliver(request: Request, key: str, delivery: str) -> DeliveryOut:
+    """Make a delivery again, now, with the id and the body that it had."""
+    return delivery_out(Webhooks(of_request(request).store.database).redeliver(key, delivery))
+
+
+def delivery_out(row: DeliveryRow) -> DeliveryOut:
+    """Return the outside shape of a delivery."""
+    return DeliveryOut(
+        id=row.id,
+        event=row.event,
+        state=row.state,
+        attempts=row.attempts,
+        error=row.error,
+        created_at=row.created_at,
+        due_at=row.due_at if row.state == "waiting" else None,
+    )
+
+
+def webhook_out(row: WebhookRow, trouble: TroubleRow | None = None) -> WebhookOut:
     """Return the outside shape of a webhook."""
-    return WebhookOut(id=row.id, url=row.url, events=list(row.events), created_at=row.created_at)
+    said = {"id": row.id, "url": row.url, "events": list(row.events), "created_at": row.created_at}
+    if trouble is None:
+        return WebhookOut(**said, state="active")
+    return WebhookOut(
+        **said,
+        state="failing" if trouble.disabled_at is None else "disabled",
+        failing_since=trouble.since,
+        disabled_at=trouble.disabled_at,
+        error=trouble.error,
+    )

@@ -424,7 +424,13 @@ class BuildPage(Page):
 
 
 Event = Literal[
-    "diagnosis.created", "finding.created", "asset.state_changed", "limit.predicted", "asset.silent", "build.ended"
+    "diagnosis.created",
+    "finding.created",
+    "asset.state_changed",
+    "limit.predicted",
+    "asset.silent",
+    "build.ended",
+    "webhook.disabled",
 ]
 EVENTS: tuple[str, ...] = get_args(Event)
 
@@ -447,6 +453,12 @@ class WebhookOut(Shape):
     url: str
     events: list[str]
     created_at: datetime
+    state: Literal["active", "failing", "disabled"] = Field(
+        description="failing: nothing succeeded since `failing_since`; disabled: for so long that nothing is sent."
+    )
+    failing_since: datetime | None = None
+    disabled_at: datetime | None = None
+    error: str = Field(default="", description="Why the last attempt failed; empty where the last one did not.")
 
 
 class WebhookMade(WebhookOut):

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any, NamedTuple, get_args
 
-from sqlalchemy import Double, String, Text, and_, func, or_, select
+from sqlalchemy import Double, ForeignKey, String, Text, and_, func, or_, select, text
 from sqlalchemy.orm import Mapped, Session, aliased, mapped_column
 
 from jointplay.app.errors import BuildEndedError, UnknownBuildError
@@ -26,7 +26,10 @@ from jointplay.app.storage.tombstones import missing
 from jointplay.app.storage.webhooks import announce
 
 ATTEMPTS = 5
-"""How often a build is begun before one whose process or server dies each time is given up."""
+"""How often in a row the process or server of a build may die before it did a case more than any before."""
+
+ORDERS_LOCK = 7_264_917_003_120
+"""Key of PostgreSQL's advisory lock that is held while a build is put into the queue."""
 
 ENDED: frozenset[State] = frozenset({"done", "failed", "cancelled", "worker_lost"})
 """States that a build does not leave."""
@@ -59,6 +62,16 @@ class BuildRow(Base):
     lease_until: Mapped[float] = mapped_column(Double)
     cancel_asked: Mapped[bool]
     request_id: Mapped[str | None] = mapped_column(String(64))
+
+
+class BuildDeathsRow(Base):
+    """How often in a row a build has died, and the most cases that it had done until then."""
+
+    __tablename__ = "build_deaths"
+
+    build: Mapped[str] = mapped_column(ForeignKey("builds.id"), primary_key=True)
+    in_a_row: Mapped[int]
+    most_done: Mapped[int]
 
 
 @dataclass(frozen=True)
@@ -96,7 +109,7 @@ class BuildQueue:
         catalogue: str,
         workers: int | None,
     ) -> BuildRow:
-        """Store a build that is to be done, and return it committed."""
+        """Store a build that is to be done, and return it committed; or the same build that has not ended yet."""
         row = BuildRow(
             id=secrets.token_hex(16),
             created_at=now(),
@@ -117,9 +130,19 @@ class BuildQueue:
             request_id=request_id(),
         )
         with self._database.writing() as session:
-            session.add(row)
-            note(session, "made", "build", row.id, after=about_build(row))
-        return self.find(row.id)
+            if not self._database.is_sqlite:  # which lets one in at a time anyway
+                session.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": ORDERS_LOCK})
+            same = session.scalars(
+                select(BuildRow)
+                .filter_by(plan_hash=plan_hash, catalogue=catalogue, workers=workers, cancel_asked=False)
+                .where(BuildRow.state.not_in(ENDED))
+                .order_by(BuildRow.number)
+            )
+            found = next((each for each in same if each.machine == row.machine), row)
+            if found is row:
+                session.add(row)
+                note(session, "made", "build", row.id, after=about_build(row))
+        return self.find(found.id)
 
     def find(self, key: str) -> BuildRow:
         """Return a build.
@@ -154,7 +177,7 @@ class BuildQueue:
     def claim(self, owner: str, seconds: float) -> BuildRow | None:
         """Take the oldest build that nobody works on, for a while; ``None`` where there is none.
 
-        Builds of one catalogue wait for each other. One whose server died is taken up again, but not for ever.
+        Builds of one catalogue wait for each other. One whose server died is taken up again, as long as it gets on.
         """
         with self._database.reading() as session:  # most looks find nothing, and need no lock for that
             if session.scalar(self._open(session)) is None:
@@ -206,7 +229,7 @@ class BuildQueue:
             row = self._mine(session, key, owner)
             if row is not None:
                 row.attempts -= 1
-                self._lost(session, row, "")
+                self._lost(session, row, "", died=False)
 
     def cancel(self, key: str) -> BuildRow:
         """Stop a build: one that waits at once, one that runs as soon as its server hears of it.
@@ -244,16 +267,26 @@ class BuildQueue:
         found: BuildRow | None = session.scalar(select(BuildRow).where(*mine).with_for_update())
         return found
 
-    def _lost(self, session: Session, row: BuildRow, message: str) -> None:
+    def _lost(self, session: Session, row: BuildRow, message: str, *, died: bool = True) -> None:
         row.owner, row.lease_until, row.rate_per_s, row.seconds_left = "", 0.0, 0.0, None
         row.message = message
         if row.cancel_asked:
             self._close(session, row, "cancelled")
-        elif row.attempts >= ATTEMPTS:
-            row.message = f"{message}; given up after {row.attempts} attempts"
+        elif died and self._count_death(session, row) >= ATTEMPTS:
+            row.message = f"{message}; given up after {ATTEMPTS} attempts without progress"
             self._close(session, row, "worker_lost")
         else:
             row.state = "queued"
+
+    def _count_death(self, session: Session, row: BuildRow) -> int:
+        """Return how often in a row a build has died; what it did before it died is kept, and forgives all deaths."""
+        deaths = session.get(BuildDeathsRow, row.id) or BuildDeathsRow(build=row.id, in_a_row=0, most_done=0)
+        session.add(deaths)
+        if row.cases_done > deaths.most_done:
+            deaths.in_a_row, deaths.most_done = 0, row.cases_done
+        else:
+            deaths.in_a_row += 1
+        return deaths.in_a_row
 
     def _close(self, session: Session, row: BuildRow, state: State) -> None:
         ended = {"state": state, "catalogue_id": row.catalogue_id, "message": row.message}

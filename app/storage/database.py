@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from typing import Any, TypeVar
 
-from sqlalchemy import Connection, DateTime, Dialect, MetaData, TypeDecorator, inspect, select, text
+from sqlalchemy import Connection, DateTime, Dialect, MetaData, TypeDecorator, event, inspect, select, text
 from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.engine import URL
+from sqlalchemy.exc import OperationalError
 from sqlalchemy.orm import DeclarativeBase, Session, sessionmaker
 
-from jointplay.app.errors import AppError, BadFieldError
+from jointplay.app.errors import AppError, BadFieldError, NotReadyError
 from jointplay.catalogue.errors import CatalogueFileError
 from jointplay.catalogue.storage import database
 from jointplay.catalogue.storage.database import Database
@@ -26,6 +28,12 @@ VERSION_TABLE = "service_revision"
 
 WAIT_S = 10.0
 """Longest wait for another process's write transaction, or for a server to take a connection."""
+
+POOL_S = 2.5
+"""Longest wait for one of the connections to a server, all of which are in use."""
+
+PROBE_S = 1.0
+"""Longest wait of a look whether the database can be written to."""
 
 TABLES_LOCK = 7_264_917_003_119
 """Key of PostgreSQL's advisory lock that one opening process holds while it makes the tables."""
@@ -97,7 +105,7 @@ class ServiceDatabase(Database):
         waits = {"connect_timeout": round(WAIT_S), "tcp_user_timeout": round(WAIT_S * 1000)}
         try:
             # An answer that says "stored" outlives a loss of power.
-            super().__init__(url, wait=WAIT_S, durable=True, connect=waits)
+            super().__init__(url, wait=WAIT_S, durable=True, connect=waits, pool_wait=POOL_S)
         except CatalogueFileError as error:
             raise refusal(error) from None
         self.session = sessionmaker(self.engine, expire_on_commit=False)
@@ -107,6 +115,71 @@ class ServiceDatabase(Database):
         except BaseException:
             self.close()
             raise
+        self._opened = self._identity()
+
+    def limit_waits(self) -> None:
+        """From now on let nobody wait for a server that is stalled, nor longer for a statement or a lock than is told.
+
+        For a service, which has somebody who waits for its answer; a backup may take its time.
+        """
+        if self.is_sqlite:
+            return
+        from jointplay.app.storage import stalls
+
+        def plain() -> Any:
+            arguments, options = self.engine.dialect.create_connect_args(self.engine.url)
+            return stalls.connect_plain(*arguments, **options)
+
+        pulse = stalls.Pulse(plain)
+
+        def connect(_dialect: object, _record: object, arguments: Any, options: Any) -> Any:
+            return stalls.connect_limited(pulse, *arguments, **options)
+
+        event.listen(self.engine, "do_connect", connect)
+        self.engine.dispose()  # connections of before are without
+
+    def check_file(self) -> None:
+        """Refuse to go on with a file that is not the one that was opened: what is written there would be lost.
+
+        Raises
+        ------
+        sqlalchemy.exc.OperationalError
+            When it was taken away, or another lies in its place.
+        """
+        if self._identity() != self._opened:
+            # For everybody who goes on when the database is gone, it is.
+            raise OperationalError(None, None, NotReadyError("its file is not the one that was opened"))
+
+    def _identity(self) -> tuple[int, int] | None:
+        """Tell the file from others; None where the database is none, or there is none any more."""
+        if not self.is_sqlite or not self.engine.url.database:
+            return None
+        try:
+            found = os.stat(self.engine.url.database)
+        except FileNotFoundError:
+            return None
+        return found.st_dev, found.st_ino
+
+    def try_writing(self) -> None:
+        """Write a row as it is, and take that back.
+
+        Raises
+        ------
+        sqlalchemy.exc.SQLAlchemyError
+            As of :meth:`check_file`; or when it cannot be written to, or is locked by others for longer than a moment.
+        """
+        self.check_file()
+        with self.engine.connect() as plain:
+            driver: Any = plain.connection.driver_connection
+            connection = plain.execution_options(writes=True)
+            try:
+                if self.is_sqlite:
+                    driver.execute(f"PRAGMA busy_timeout = {PROBE_S * 1000:.0f}")
+                connection.execute(text(f"UPDATE {VERSION_TABLE} SET version_num = version_num"))
+                connection.rollback()
+            finally:
+                if self.is_sqlite:
+                    driver.execute(f"PRAGMA busy_timeout = {WAIT_S * 1000:.0f}")
 
     @contextmanager
     def reading(self) -> Iterator[Session]:
@@ -120,7 +193,14 @@ class ServiceDatabase(Database):
 
         Threads of this process wait for each other here: SQLite's own way to wait is to sleep up to 100 ms and to look
         again. What lasts too long is left to SQLite, which knows what to say.
+
+        Raises
+        ------
+        sqlalchemy.exc.OperationalError
+            When the file is not the one that was opened, or no longer when all is written: it is not to be said that
+            it was stored.
         """
+        self.check_file()
         held = self.is_sqlite and self._writer.acquire(timeout=WAIT_S)
         try:
             with self.session.begin() as session:
@@ -129,6 +209,7 @@ class ServiceDatabase(Database):
         finally:
             if held:
                 self._writer.release()
+        self.check_file()
 
     def find(self, table: type[Row], key: str) -> Row | None:
         """Return the row of a table whose ``id`` is `key`; None where there is none.

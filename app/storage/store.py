@@ -13,12 +13,12 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from sqlalchemy import Select, select, text
+from sqlalchemy import Select, select
 from sqlalchemy.engine import URL
 from sqlalchemy.orm import Session
 
 from jointplay.app.actor import actor
-from jointplay.app.errors import AppError, BusyError, NotReadyError, UnknownDiagnosisError, UnknownMeasurementError
+from jointplay.app.errors import AppError, BusyError, UnknownDiagnosisError, UnknownMeasurementError
 from jointplay.app.storage import audit
 from jointplay.app.storage.assets import touch_owners
 from jointplay.app.storage.database import ServiceDatabase, database_url
@@ -132,26 +132,10 @@ class Store:
         self.files = RecordingFiles(directory, self.database)
         audit.attend(self.database)
         self._session = self.database.session
-        self._opened = self._identity()
 
     def close(self) -> None:
         """Let go of the database."""
         self.database.close()
-
-    def ready(self) -> None:
-        """Ask the database for something.
-
-        Raises
-        ------
-        SQLAlchemyError
-            When it does not answer.
-        NotReadyError
-            When its file was taken away, or another lies in its place: what is written would be lost.
-        """
-        if self._identity() != self._opened:
-            raise NotReadyError("its file is not the one that was opened")
-        with self._session() as session:
-            session.execute(text("SELECT 1")).scalar_one()
 
     def try_writing(self) -> None:
         """Write a file where uploads go, and delete it.
@@ -164,17 +148,6 @@ class Store:
         with tempfile.NamedTemporaryFile(dir=self._files, prefix=PARTIAL) as attempt:
             attempt.write(b"?")
             attempt.flush()
-
-    def _identity(self) -> tuple[int, int] | None:
-        """Tell the database's file from others; None where it is no file, or there is none any more."""
-        path = self.database.engine.url.database
-        if not self.database.is_sqlite or not path:
-            return None
-        try:
-            found = os.stat(path)
-        except FileNotFoundError:
-            return None
-        return found.st_dev, found.st_ino
 
     def receive(self, source: BinaryIO) -> Upload:
         """Copy an upload below the directory, to the disk, and return where it is.

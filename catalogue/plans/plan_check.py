@@ -9,9 +9,13 @@ from jointplay.catalogue.plans.cases import entries_of, sequences_of
 from jointplay.catalogue.plans.plan import Plan
 from jointplay.catalogue.plans.plan_parts import SPEED, DrawCounts
 from jointplay.solver.cases.answers import check_band
-from jointplay.solver.errors import SolverError
+from jointplay.solver.cases.causes import check_record
+from jointplay.solver.errors import SettingsError, SolverError
 from jointplay.solver.machines.machine import Machine, has_known_effort
 from jointplay.solver.spectra.sensor import rigid_body, sensor_transform
+
+MOST_CASES = 2_000_000
+"""Of one plan: a builder holds the list of them, some kilobytes each."""
 
 _ONCE = DrawCounts(healthy=1, single=1, pair=1, larger=1)
 
@@ -35,9 +39,29 @@ def check_plan(plan: Plan, machine: Machine, source: str = "plan") -> None:
     plan = plan.resolve(machine)
     _check_response(plan, machine)
     try:
+        _check_size(plan, machine)
         entries_of(plan.model_copy(update={"draws": _ONCE}), machine)
     except PlanError as error:
         raise _place(error, plan, source) from None
+
+
+def _check_size(plan: Plan, machine: Machine) -> None:
+    """Refuse what no build can hold: the same set twice, cases without number, a case without end."""
+    known: dict[frozenset[str], int] = {}
+    for place, chosen in enumerate(plan.sets):
+        first = known.setdefault(frozenset(chosen), place)
+        if first != place:
+            raise PlanError("plan", f"sets.{place}", list(chosen), f"is the same set as sets.{first}")
+    cases = sum(sequence.count for sequence in sequences_of(plan, machine))
+    if cases > MOST_CASES:
+        raise PlanError("plan", "draws", None, f"make {cases} cases of all hypotheses; at most {MOST_CASES} are built")
+    recipe, slowest = plan.recipe(machine), min(plan.speeds)
+    duration = recipe.revolutions * 2 * math.pi / (slowest * abs(recipe.nominal_drive_speed))
+    try:
+        check_record(recipe.sample_rate, duration)
+    except SettingsError as error:
+        path = "revolutions" if recipe.revolutions == plan.revolutions else "seconds"
+        raise PlanError("plan", path, getattr(plan, path), str(error)) from None
 
 
 def _check_response(plan: Plan, machine: Machine) -> None:

@@ -142,6 +142,8 @@ class Database:
         Whether a transaction is on the disk when it ends, or may be lost with the power.
     connect : mapping
         Options of connections to PostgreSQL.
+    pool_wait : float
+        Longest wait for one of its connections [s].
 
     Attributes
     ----------
@@ -154,10 +156,14 @@ class Database:
         Its driver is not installed.
     """
 
-    def __init__(self, url: URL, *, wait: float, durable: bool, connect: Mapping[str, Any]) -> None:
+    def __init__(
+        self, url: URL, *, wait: float, durable: bool, connect: Mapping[str, Any], pool_wait: float = 30.0
+    ) -> None:
         self.is_sqlite = url.get_backend_name() == "sqlite"
         self.name = str(url.database) if self.is_sqlite else url.set(drivername="postgresql").render_as_string()
-        options: dict[str, Any] = {} if self.is_sqlite else {"pool_pre_ping": True, "connect_args": dict(connect)}
+        options: dict[str, Any] = {}
+        if not self.is_sqlite:
+            options = {"pool_pre_ping": True, "pool_timeout": pool_wait, "connect_args": dict(connect)}
         try:
             # Errors are logged, values of a statement are not: some are secrets.
             self.engine = create_engine(url, hide_parameters=True, **options)

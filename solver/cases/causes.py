@@ -20,6 +20,8 @@ from jointplay.solver.machines.machine import Machine, keep_by_machine
 from jointplay.solver.machines.parts import Support
 from jointplay.solver.machines.restitution import HYSTERESIS
 
+#: Most memory for one kind of record (displacement, say) of one case.
+MOST_BYTES = 2e9
 #: Longest run, steps or samples of one case: refused beyond, so that a mistyped number does not run for days.
 MOST_STEPS = 2_000_000_000
 #: A part is to blame where so many steps of it do not make up so many seconds; else the run is too long.
@@ -218,6 +220,19 @@ def check_pins(machine: Machine, joints: tuple[str, ...], values: Mapping[str, f
         if values.get(path, 0.0) > most:
             rule = f"is more than {_LARGEST_PIN:g} times the machine's extent of {most / _LARGEST_PIN:.3g} m"
             raise MachineError(machine.name, path, values[path], rule)
+
+
+def check_record(sample_rate: float, duration: float, recorded: int = 3) -> None:
+    """Refuse a run whose record, of so many coordinates, does not fit the memory.
+
+    Raises
+    ------
+    SettingsError
+        Names the duration.
+    """
+    if duration * sample_rate * recorded * 8 > MOST_BYTES:
+        too_much = f"{duration * sample_rate:.3g} samples need more than {MOST_BYTES / 1e9:g} GB of records"
+        raise SettingsError(f"duration: {duration:g} s: {too_much}; take a lower sample rate")
 
 
 def check_sample_rate(sample_rate: float, duration: float, speed: float) -> None:

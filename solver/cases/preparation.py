@@ -14,6 +14,7 @@ from jointplay.solver.cases.answers import check_band, spacing_of
 from jointplay.solver.cases.case import Settings
 from jointplay.solver.cases.causes import (
     check_pins,
+    check_record,
     check_sample_rate,
     contact_causes,
     drive_cause,
@@ -47,8 +48,6 @@ from jointplay.solver.machines.machine import Machine, has_known_effort, keep_by
 from jointplay.solver.machines.parts import RotationDrive, TravelDrive
 from jointplay.solver.machines.remarks import film_remarks, restitution_remarks
 
-#: Most memory for one kind of record (displacement, say) of one case.
-MOST_BYTES = 2e9
 #: More samples than any case has.
 NEVER = 2**62
 #: Mobility of a contact, 1/kg, that is rounding: a block in two guides, of which one is tight, say.
@@ -261,10 +260,7 @@ def prepare(
     moved = max(abs(fastest), shaken)
     longest = settings.step or largest_step(rule, resolved.values(), eigenvalues, moved, rubbing)
     smooth = largest_step(BETWEEN_IMPACTS, (), eigenvalues, moved)
-    recorded = model.size if settings.links else 3
-    if duration * settings.sample_rate * recorded * 8 > MOST_BYTES:
-        too_much = f"{duration * settings.sample_rate:.3g} samples need more than {MOST_BYTES / 1e9:g} GB of records"
-        raise SettingsError(f"duration: {duration:g} s: {too_much}; take a lower sample rate")
+    check_record(settings.sample_rate, duration, model.size if settings.links else 3)
     check_sample_rate(settings.sample_rate, duration, speed)
     causes = chain(
         contact_causes(machine, rule, contacts, mobility, complete),

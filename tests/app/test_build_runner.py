@@ -19,6 +19,8 @@ from jointplay.app.jobs.build_runner import BuildRunner
 from jointplay.app.storage.build_queue import ATTEMPTS, BuildQueue, BuildRow
 from jointplay.app.storage.store import Store
 
+GIVEN_UP = f"given up after {ATTEMPTS} attempts without progress"
+
 
 class Server:
     """One server's part of a database."""
@@ -36,8 +38,8 @@ class Server:
         finally:
             runner.close()
 
-    def add(self, catalogue: str) -> str:
-        return self.queue.add({"name": "m"}, {"name": "p"}, "h" * 64, catalogue, None).id
+    def add(self, catalogue: str, workers: int | None = None) -> str:
+        return self.queue.add({"name": "m"}, {"name": "p"}, "h" * 64, catalogue, workers).id
 
     def until(self, key: str, **wanted: Any) -> BuildRow:
         deadline = time.monotonic() + 300
@@ -83,8 +85,30 @@ def test_a_killed_process_is_replaced_and_in_the_end_given_up(server: Server, tm
     with server.running(build_tasks.deadly):
         row = server.until(key, state="worker_lost")
     assert row.attempts == len(build_tasks.noted(tmp_path, "c")) == ATTEMPTS
-    assert row.message == f"its process ended early (exit status -9); given up after {ATTEMPTS} attempts"
+    assert (
+        row.message == f"its process ended early (exit status -9); given up after {ATTEMPTS} attempts without progress"
+    )
     assert row.ended_at is not None
+
+
+def test_deaths_are_forgiven_when_there_was_progress(server: Server) -> None:
+    key = server.add("c")
+
+    def dies(cases_done: int) -> str:
+        claimed = server.queue.claim("a", 60.0)
+        assert claimed is not None
+        server.queue.beat(key, "a", 60.0, {"cases_done": cases_done})
+        server.queue.lose(key, "a", "died")
+        return server.queue.find(key).state
+
+    assert [dies(3 * number) for number in range(1, 2 * ATTEMPTS)] == ["queued"] * (2 * ATTEMPTS - 1)
+    most = 3 * (2 * ATTEMPTS - 1)
+    assert [dies(most) for _ in range(ATTEMPTS)] == ["queued"] * (ATTEMPTS - 1) + ["worker_lost"]
+    row = server.queue.find(key)
+    assert (row.attempts, row.message) == (
+        3 * ATTEMPTS - 1,
+        f"died; given up after {ATTEMPTS} attempts without progress",
+    )
 
 
 def test_kill_in_the_middle_cancel_and_stop(server: Server, tmp_path: Path) -> None:
@@ -131,7 +155,7 @@ def test_a_server_that_has_lost_its_build_lets_go(server: Server, tmp_path: Path
 
 
 def test_builds_of_one_catalogue_wait_for_each_other(server: Server) -> None:
-    first, second, third = server.add("c"), server.add("c"), server.add("d")
+    first, second, third = server.add("c"), server.add("c", workers=2), server.add("d")
     claims = [server.queue.claim("a", 60.0), server.queue.claim("b", 60.0), server.queue.claim("b", 60.0)]
     assert [row.id if row else None for row in claims] == [first, third, None]
     server.queue.end(first, "a", "done", {})

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -88,7 +89,20 @@ def test_a_build_that_is_asked_for_again_with_its_key_is_one(idle: httpx.Client)
     assert (again.status_code, again.json()) == (202, first.json())
     assert again.headers["location"] == first.headers["location"]
     assert idle.post(f"{API}/builds", json={**ASKED, "workers": 2}, headers=headers).status_code == 422
-    assert idle.post(f"{API}/builds", json=ASKED).json()["id"] != first.json()["id"]
+    assert idle.post(f"{API}/builds", json=ASKED).json()["id"] == first.json()["id"], "the same build is one anyway"
+
+
+def test_the_same_build_asked_for_at_once_is_one(idle: httpx.Client) -> None:
+    asked = {**ASKED, "catalogue": "same"}
+    with ThreadPoolExecutor(6) as pool:
+        answers = list(pool.map(lambda _: idle.post(f"{API}/builds", json=asked), range(6)))
+    assert {answer.status_code for answer in answers} == {202}
+    assert len({(answer.json()["id"], answer.headers["location"]) for answer in answers}) == 1
+    other = idle.post(f"{API}/builds", json={**asked, "plan": {**TINY, "seed": 2}}).json()["id"]
+    first = answers[0].headers["location"]
+    assert not first.endswith(other)
+    assert idle.post(f"{first}/cancel").json()["state"] == "cancelled"
+    assert idle.post(f"{API}/builds", json=asked).headers["location"] != first
 
 
 @pytest.mark.parametrize(
@@ -100,6 +114,9 @@ def test_a_build_that_is_asked_for_again_with_its_key_is_one(idle: httpx.Client)
         ({"plan": "/etc/passwd"}, 422, "plan: /etc/passwd: is not a shipped plan"),
         ({"plan": {"draws": {"single": 0}}}, 422, "plan: draws.single: 0: "),
         ({"plan": {"sets": [["A", "Z"]]}}, 422, "plan: sets"),
+        ({"plan": {"sets": [["A", "B"], ["B", "A"]]}}, 422, "plan: sets.1: ['B', 'A']: is the same set as sets.0"),
+        ({"plan": {"seconds": 1e15}}, 422, "plan: seconds: 1000000000000000.0: duration: "),
+        ({"plan": {"speeds": [1e-9]}}, 422, "plan: seconds: 1.0: duration: "),
         ({"plan": {"colour": "red"}}, 422, "plan: colour"),
         ({"catalogue": "../up"}, 422, "catalogue: "),
         ({"catalogue": ".hidden"}, 422, "catalogue: "),

@@ -48,7 +48,7 @@ def test_what_is_stored_comes_back(store: Store, url: str, tmp_path: Path) -> No
     assert row.created_at == first.created_at
     assert row.created_at.utcoffset() == timedelta(0)
     assert [found.id for found in store.diagnoses(None, 5)] == [asked.id]
-    store.ready()
+    store.database.try_writing()
 
 
 @pytest.mark.parametrize("key", ["0" * 32, "\0", "\ud800", "x" * 9000])
@@ -83,7 +83,7 @@ def test_many_open_a_new_database_at_once(url: str, tmp_path: Path) -> None:
     def opened(_number: int) -> bool:
         found = Store(tmp_path, url)
         try:
-            found.ready()
+            found.database.try_writing()
             return True
         finally:
             found.close()

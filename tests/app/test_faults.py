@@ -5,20 +5,15 @@ from __future__ import annotations
 import errno
 import io
 import os
-import select
-import socket
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import databases
 import httpx
 import pytest
+from lines import remote
 from small_service import PLAN, asking
 from sqlalchemy import event, text
-from sqlalchemy.engine import make_url
 from sqlalchemy.exc import OperationalError
 from starlette.datastructures import UploadFile
 
@@ -108,62 +103,6 @@ def test_what_is_acknowledged_was_synced_and_then_committed(tmp_path: Path, monk
     with store.database.engine.connect() as connection:
         assert connection.scalar(text("PRAGMA synchronous")) == 2  # FULL: a commit waits for the disk
     store.close()
-
-
-class Line:
-    """A line to a server that can be cut and mended; its port stays the same."""
-
-    def __init__(self, host: str, port: int) -> None:
-        self._target = (host, port)
-        self._pairs: list[tuple[socket.socket, socket.socket]] = []
-        self._listener = self._listen(0)
-        self.port: int = self._listener.getsockname()[1]
-
-    def _listen(self, port: int) -> socket.socket:
-        listener = socket.create_server(("127.0.0.1", port))
-        threading.Thread(target=self._accept, args=(listener,), daemon=True).start()
-        return listener
-
-    def _accept(self, listener: socket.socket) -> None:
-        with suppress(OSError):
-            while True:
-                pair = (listener.accept()[0], socket.create_connection(self._target))
-                self._pairs.append(pair)
-                threading.Thread(target=self._carry, args=pair, daemon=True).start()
-
-    def _carry(self, one: socket.socket, other: socket.socket) -> None:
-        with suppress(OSError, ValueError), one, other:
-            while True:
-                for source in select.select([one, other], [], [])[0]:
-                    content = source.recv(65536)
-                    if not content:
-                        return
-                    (other if source is one else one).sendall(content)
-
-    def cut(self) -> None:
-        with suppress(OSError):
-            self._listener.shutdown(socket.SHUT_RDWR)
-        self._listener.close()
-        for pair in self._pairs:
-            for end in pair:
-                with suppress(OSError):
-                    end.shutdown(socket.SHUT_RDWR)
-        self._pairs.clear()
-
-    def mend(self) -> None:
-        self._listener = self._listen(self.port)
-
-
-@contextmanager
-def remote(tmp_path: Path) -> Iterator[tuple[Line, str]]:
-    with databases.database("postgresql", tmp_path) as url:
-        target = make_url(url)
-        line = Line(target.host or "127.0.0.1", target.port or 5432)
-        shown = target.set(host="127.0.0.1", port=line.port).render_as_string(hide_password=False)
-        try:
-            yield line, shown
-        finally:
-            line.cut()
 
 
 @pytest.mark.parametrize("kind", [kind for kind in databases.KINDS if kind == "postgresql"])

@@ -10,6 +10,7 @@ from small_plans import QUICK_RETURN, plan_of
 from jointplay.catalogue.errors import PlanError
 from jointplay.catalogue.plans.cases import entries_of
 from jointplay.catalogue.plans.plan import load_plan, parse_plan
+from jointplay.catalogue.plans.plan_check import check_plan
 from jointplay.solver.machines.machine import parse_machine
 
 
@@ -88,6 +89,13 @@ def test_joints_whose_names_make_two_hypotheses_of_one_name_are_refused() -> Non
     text = QUICK_RETURN.canonical_json().replace('"C"', '"E+F"')
     with pytest.raises(PlanError, match=r"^plan: hypotheses: E\+F: names two hypotheses of machine quick-return"):
         entries_of(plan_of(hypotheses=["singles", "pairs"]), parse_machine(text))
+
+
+def test_more_cases_than_a_builder_can_hold_are_refused() -> None:
+    many = {"single": 100_000, "pair": 100_000}
+    plan = plan_of(hypotheses=["singles", "pairs"], draws=many, wide={"draws": 1})
+    with pytest.raises(PlanError, match=r"^plan: draws: make 3000000 cases of all hypotheses; at most 2000000 are"):
+        check_plan(plan, QUICK_RETURN)
 
 
 def test_machine_without_constant_speed_is_refused() -> None:
