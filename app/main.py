@@ -12,12 +12,15 @@ from starlette.concurrency import run_in_threadpool
 from starlette.routing import Route
 from starlette.staticfiles import StaticFiles
 
+from jointplay.app.errors import BadFieldError
 from jointplay.app.http import handlers, openapi
 from jointplay.app.http.examples import read_document
 from jointplay.app.http.gate import Gate
 from jointplay.app.http.middleware import BodyLimit, RequestLog, SecurityHeaders, State
+from jointplay.app.http.proxies import Proxies
 from jointplay.app.http.query import refuse_unknown
 from jointplay.app.jobs.build_runner import BuildRunner
+from jointplay.app.jobs.key_uses import keep_storing_uses, store_uses
 from jointplay.app.jobs.standing_keeper import StandingKeeper
 from jointplay.app.jobs.webhook_sender import WebhookSender
 from jointplay.app.jobs.workers import WorkerPool
@@ -36,6 +39,7 @@ from jointplay.app.routes import (
     findings,
     forecasts,
     health,
+    keys,
     machine_pages,
     machines,
     measurements,
@@ -47,7 +51,7 @@ from jointplay.app.routes import (
     try_pages,
     webhooks,
 )
-from jointplay.app.scopes import API
+from jointplay.app.scopes import API, parse_people
 from jointplay.app.service import Service
 from jointplay.app.settings import ServiceSettings
 from jointplay.app.shelves.catalogues import CatalogueShelf
@@ -69,8 +73,18 @@ def create_app(settings: ServiceSettings | None = None, *, warm: bool = False) -
         Read from the environment when not given.
     warm : bool
         Whether workers start at once and load what they need, in the background, in place of with the first request.
+
+    Raises
+    ------
+    BadFieldError
+        When people are to sign in otherwise than settings can say, or at no proxy.
     """
     chosen = settings if settings is not None else ServiceSettings()
+    people = parse_people(chosen.people)
+    if people and not chosen.trusted_proxies:
+        raise BadFieldError(
+            "JOINTPLAY_PEOPLE: people sign in at a proxy: JOINTPLAY_PROXIES must name its address", field="people"
+        )
     metrics = Metrics()
 
     @asynccontextmanager
@@ -86,11 +100,14 @@ def create_app(settings: ServiceSettings | None = None, *, warm: bool = False) -
         service = Service(chosen, store, CatalogueShelf(chosen.catalogues), pool, put_there, queue, runner, metrics)
         metrics.registry.register(State(service))
         application.state.service = service
-        application.state.keys = Keys(store.database)
+        application.state.keys = kept_keys = Keys(store.database)
         runner.start()
         sender = WebhookSender(Webhooks(store.database), chosen.webhooks_private, metrics.count_delivery)
         sender.start()
-        behind = [asyncio.create_task(StandingKeeper(store, pool).run())]
+        behind = [
+            asyncio.create_task(StandingKeeper(store, pool).run()),
+            asyncio.create_task(keep_storing_uses(kept_keys)),
+        ]
         if warm:
             behind.append(asyncio.create_task(service.warm()))
         try:
@@ -99,6 +116,7 @@ def create_app(settings: ServiceSettings | None = None, *, warm: bool = False) -
             for task in behind:
                 task.cancel()
             await asyncio.gather(*behind, return_exceptions=True)
+            await store_uses(kept_keys)
             service.stop()
             await run_in_threadpool(runner.close)
             await run_in_threadpool(sender.close)
@@ -130,6 +148,7 @@ def create_app(settings: ServiceSettings | None = None, *, warm: bool = False) -
                 reports,
                 assets,
                 findings,
+                keys,
                 webhooks,
             ),
             API,
@@ -166,8 +185,9 @@ def create_app(settings: ServiceSettings | None = None, *, warm: bool = False) -
     application.add_middleware(
         BodyLimit, upload_bytes=chosen.max_upload_bytes, receive_timeout=chosen.receive_timeout_s
     )
-    application.add_middleware(Gate, settings=chosen)
+    application.add_middleware(Gate, settings=chosen, people=people)
     application.add_middleware(RequestLog, templates=templates, metrics=metrics)
     application.add_middleware(SecurityHeaders)
+    application.add_middleware(Proxies, trusted=chosen.trusted_proxies)
     application.openapi = openapi.make_document(application, keyed=chosen.keys == "required")  # type: ignore[method-assign]
     return application

@@ -12,6 +12,7 @@ from starlette.concurrency import run_in_threadpool
 from jointplay.app.errors import BadFieldError, UnknownMeasurementError
 from jointplay.app.etags import respond
 from jointplay.app.http import paging
+from jointplay.app.http.gate import name_of
 from jointplay.app.http.openapi import problems
 from jointplay.app.http.uploads import JSON_TYPE, json_body
 from jointplay.app.routes.machines import Cursor, Limit
@@ -94,7 +95,7 @@ def acknowledge(request: Request, external_id: ExternalId, seen: Acknowledgement
     """Say that somebody has seen how the asset stands; it holds until that gets worse or has another reason."""
     database = of_request(request).store.database
     found = Assets(database).asset(external_id)
-    Standings(database).acknowledge(found.external_id, seen.state, request.state.key_name or "", seen.note)
+    Standings(database).acknowledge(found.external_id, seen.state, name_of(request), seen.note)
     return asset_out(Assets(database).asset(external_id))
 
 

@@ -97,7 +97,7 @@ class Acknowledgement(Shape):
 class Acknowledged(Shape):
     """Who has seen how an asset stands; it holds until the state gets worse, or something else is the reason."""
 
-    by: str = Field(description="Name of the key; empty where no keys are asked for.")
+    by: str = Field(description="The person, or the name of the key; empty where neither is asked for.")
     at: datetime
     note: str
 
