@@ -103,8 +103,10 @@ def person_of(request: Request, people: Mapping[str, frozenset[scopes.Scope]]) -
     name = names[0].strip() if names else ""
     if not name:
         return None
-    if not name.isprintable() or len(name) > LONGEST_NAME:
-        raise UnauthorizedError(f"{PERSON}: must be a name of at most {LONGEST_NAME} characters that can be printed")
+    # In braces stands what a proxy was to put in and did not know: Caddy leaves its placeholders as they are.
+    if not name.isprintable() or len(name) > LONGEST_NAME or "{" in name:
+        rule = f"must be a name of at most {LONGEST_NAME} characters that can be printed, without braces"
+        raise UnauthorizedError(f"{PERSON}: {rule}")
     member = {each.strip() for each in groups[0].split(",")} if groups else set()
     granted = [people[group] for group in (scopes.EVERYBODY, *sorted(member - {scopes.EVERYBODY})) if group in people]
     return Person(name, frozenset().union(*granted))

@@ -145,6 +145,18 @@ class AssetPage(Page):
     items: list[AssetOut]
 
 
+class TrendRow(Shape):
+    """How worn one joint was at one moment, by all that was known then."""
+
+    at: datetime
+    joint: str
+    p_worn: float
+    clearance_um: float = Field(description="Radial.")
+    low_um: float = Field(description="Of an interval that holds it with 90 %.")
+    high_um: float
+    limit_um: float
+
+
 class JointFound(Shape):
     """What was measured at one joint."""
 

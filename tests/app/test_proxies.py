@@ -151,6 +151,7 @@ def test_a_person_hands_out_no_more_than_they_have(behind: tuple[str, Keys]) -> 
         [("X-Forwarded-User", "anna"), ("X-Forwarded-Groups", "office"), ("X-Forwarded-Groups", "chiefs")],
         [("X-Forwarded-User", "a" * 129)],
         [("X-Forwarded-User", "an\tna")],
+        [("X-Forwarded-User", "{http.auth.user.id}")],
     ],
 )
 def test_names_that_clients_may_have_sent_along_are_refused(
