@@ -113,6 +113,7 @@ class Gate:
         needed = scope_of(method, path)
         try:
             person = None if path in PROBES else person_of(request, self._people)
+            request.state.person = None if person is None else person.name
             if self._keyed and needed is not None:
                 key, by_cookie = await identify(request, request.app.state.keys, person)
         finally:
@@ -121,10 +122,9 @@ class Gate:
                 self._count(key.id if key is not None else address(request))
         request.state.key = None if key is None else key.id
         request.state.key_name = None if key is None else key.name
-        request.state.person = None if person is None else person.name
         request.state.signed_in = by_cookie
         request.state.scopes = held = scopes_of(key, person) if self._keyed else None
-        # A browser sends what its proxy knows it by as it sends a cookie: whoever's page it is that asks.
+        # What the proxy knows its user by, a browser sends for every page that asks, as it does with cookies.
         by_browser = by_cookie or (person is not None and key is None)
         if method not in READING and (by_browser or key is None):
             check_origin(request, browser=by_browser)
@@ -150,7 +150,7 @@ class Gate:
 async def identify(request: Request, keys: Keys, person: Person | None = None) -> tuple[Key | None, bool]:
     """Return the key of a request, and whether it came by a browser's cookie.
 
-    A key that is sent counts before the person, the person before the cookie: of both there is no key.
+    A key that is sent counts before the person, the person before the cookie; a person has none.
 
     Raises
     ------

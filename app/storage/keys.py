@@ -180,7 +180,7 @@ class Keys:
         """
         secret, moment = secrets.token_urlsafe(SECRET_BYTES), now()
         with self._database.writing() as session:
-            row = _known(session, identity)
+            row = _known(session, identity, locked=True)  # of two at once, the second comes after the first
             if row.revoked_at is not None:
                 raise KeyRevokedError(f"the key {row.id} was revoked; make another")
             until = min(moment + grace, row.expires_at)
@@ -291,8 +291,8 @@ class Keys:
         return found
 
 
-def _known(session: Session, identity: str) -> ApiKeyRow:
-    row = session.get(ApiKeyRow, identity) if is_id(identity) else None
+def _known(session: Session, identity: str, *, locked: bool = False) -> ApiKeyRow:
+    row = session.get(ApiKeyRow, identity, with_for_update=locked) if is_id(identity) else None
     if row is None:
         raise UnknownKeyError(f"key {identity[:80]}: there is none of this id; `jointplay keys list` shows them")
     return row
