@@ -19,7 +19,7 @@ PIN    := $(PINS)/bin/uv pip compile --quiet --upgrade --universal --python-vers
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 LOWEST := build/lowest
 LOWEST_TESTS := $(addprefix tests/app/test_,$(addsuffix .py,api_keys cli gate http logs measurements_http prometheus \
-    reports settings webhooks)) \
+    proxies reports settings webhooks)) \
   $(addprefix tests/catalogue/test_,$(addsuffix .py,export features gaussian readers store)) \
   $(addprefix tests/solver/test_,$(addsuffix .py,drawing machine native simulate spectrum))
 

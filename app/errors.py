@@ -203,6 +203,10 @@ class UnknownKeyError(AppError):
     """No API key has this id."""
 
 
+class KeyRevokedError(AppError):
+    """An API key that was taken back, and gets no new secret."""
+
+
 class RateLimitedError(AppError):
     """A client that asks too often.
 

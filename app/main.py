@@ -13,14 +13,17 @@ from starlette.concurrency import run_in_threadpool
 from starlette.routing import Route
 from starlette.staticfiles import StaticFiles
 
+from jointplay.app.errors import BadFieldError
 from jointplay.app.http import handlers, openapi
 from jointplay.app.http.examples import read_document
 from jointplay.app.http.gate import Gate
 from jointplay.app.http.middleware import BodyLimit, RequestLog, SecurityHeaders, State
+from jointplay.app.http.proxies import Proxies
 from jointplay.app.http.query import refuse_unknown
 from jointplay.app.http.stored import Stored
 from jointplay.app.jobs.build_runner import BuildRunner
 from jointplay.app.jobs.housekeeper import Housekeeper
+from jointplay.app.jobs.key_uses import keep_storing_uses, store_uses
 from jointplay.app.jobs.scrubber import Scrubber
 from jointplay.app.jobs.standing_keeper import StandingKeeper
 from jointplay.app.jobs.webhook_sender import WebhookSender
@@ -41,6 +44,7 @@ from jointplay.app.routes import (
     findings,
     forecasts,
     health,
+    keys,
     machine_pages,
     machines,
     measurements,
@@ -53,7 +57,7 @@ from jointplay.app.routes import (
     verifications,
     webhooks,
 )
-from jointplay.app.scopes import API
+from jointplay.app.scopes import API, parse_people
 from jointplay.app.service import Service
 from jointplay.app.settings import ServiceSettings
 from jointplay.app.shelves.catalogues import CatalogueShelf
@@ -79,8 +83,18 @@ def create_app(settings: ServiceSettings | None = None, *, warm: bool = False) -
         Read from the environment when not given.
     warm : bool
         Whether workers start at once and load what they need, in the background, in place of with the first request.
+
+    Raises
+    ------
+    BadFieldError
+        When people are to sign in otherwise than settings can say, or at no proxy.
     """
     chosen = settings if settings is not None else ServiceSettings()
+    people = parse_people(chosen.people)
+    if people and not chosen.trusted_proxies:
+        raise BadFieldError(
+            "JOINTPLAY_PEOPLE: people sign in at a proxy: JOINTPLAY_PROXIES must name its address", field="people"
+        )
     metrics = Metrics()
 
     @asynccontextmanager
@@ -100,14 +114,17 @@ def create_app(settings: ServiceSettings | None = None, *, warm: bool = False) -
         metrics.registry.register(State(service))
         metrics.registry.register(Stored(service))
         application.state.service = service
-        application.state.keys = Keys(store.database)
+        application.state.keys = kept_keys = Keys(store.database)
         runner.start()
         sender = WebhookSender(Webhooks(store.database), chosen.webhooks_private, metrics.count_delivery)
         sender.start()
         keeper = Housekeeper(Pruner(store, chosen.catalogues, chosen.keep_days))
         keeper.start()
-        behind = [asyncio.create_task(StandingKeeper(store, pool).run())]
-        behind.append(asyncio.create_task(Scrubber(store, metrics).run()))
+        behind = [
+            asyncio.create_task(StandingKeeper(store, pool).run()),
+            asyncio.create_task(Scrubber(store, metrics).run()),
+            asyncio.create_task(keep_storing_uses(kept_keys)),
+        ]
         if warm:
             behind.append(asyncio.create_task(service.warm()))
         try:
@@ -116,6 +133,7 @@ def create_app(settings: ServiceSettings | None = None, *, warm: bool = False) -
             for task in behind:
                 task.cancel()
             await asyncio.gather(*behind, return_exceptions=True)
+            await store_uses(kept_keys)
             service.stop()
             await run_in_threadpool(runner.close)
             await run_in_threadpool(sender.close)
@@ -149,6 +167,7 @@ def create_app(settings: ServiceSettings | None = None, *, warm: bool = False) -
                 reports,
                 assets,
                 findings,
+                keys,
                 webhooks,
                 audit,
             ),
@@ -186,8 +205,9 @@ def create_app(settings: ServiceSettings | None = None, *, warm: bool = False) -
     application.add_middleware(
         BodyLimit, upload_bytes=chosen.max_upload_bytes, receive_timeout=chosen.receive_timeout_s
     )
-    application.add_middleware(Gate, settings=chosen)
+    application.add_middleware(Gate, settings=chosen, people=people)
     application.add_middleware(RequestLog, templates=templates, metrics=metrics)
     application.add_middleware(SecurityHeaders)
+    application.add_middleware(Proxies, trusted=chosen.trusted_proxies)
     application.openapi = openapi.make_document(application, keyed=chosen.keys == "required")  # type: ignore[method-assign]
     return application

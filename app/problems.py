@@ -124,6 +124,7 @@ TABLE: dict[type[Exception], ProblemKind] = {
     errors.UnauthorizedError: ProblemKind(401, "unauthorized", "A key is needed"),
     errors.ForbiddenError: ProblemKind(403, "forbidden", "This is not allowed"),
     errors.UnknownKeyError: ProblemKind(404, "unknown-key", "No such key"),
+    errors.KeyRevokedError: ProblemKind(409, "key-revoked", "The key was revoked"),
     errors.RateLimitedError: ProblemKind(429, "too-many-requests", "Too many requests"),
     errors.WrongHostError: ProblemKind(421, "wrong-host", "This service has another name"),
     errors.SlowRequestError: ProblemKind(408, "slow-request", "The request did not arrive"),

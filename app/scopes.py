@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from enum import StrEnum
+
+from jointplay.app.errors import BadFieldError
 
 READING = frozenset({"GET", "HEAD", "OPTIONS"})
 API = "/api/v1"
@@ -16,8 +19,15 @@ TAKEN_BACK = "/acknowledgement"
 BUILDING = ("/forecasts", "/builds", "/machines")
 
 
+#: A key holds for so long, and the secret before its newest for so much longer, unless somebody says otherwise.
+LIFETIME_DAYS, GRACE_HOURS = 365, 24
+LONGEST_DAYS, LONGEST_GRACE_HOURS = 3650, 720
+#: In place of a group: whoever has signed in at the proxy.
+EVERYBODY = "*"
+
+
 class Scope(StrEnum):
-    """What a key may be used for; no scope holds another."""
+    """What a key or a person may do; no scope holds another."""
 
     READ = "read"
     MATCH = "match"
@@ -52,3 +62,28 @@ def scope_of(method: str, path: str) -> Scope | None:
 def under(place: str, folders: tuple[str, ...]) -> bool:
     """Return whether a path is one of some folders or lies below one."""
     return any(place == folder or place.startswith(f"{folder}/") for folder in folders)
+
+
+def parse_people(given: str) -> Mapping[str, frozenset[Scope]]:
+    """Return what members of groups may do, by group.
+
+    Parameters
+    ----------
+    given : str
+        Such as ``*=read; fitters=read match``.
+
+    Raises
+    ------
+    BadFieldError
+        When it is not of this form, names a group twice, or a scope that there is not.
+    """
+    found: dict[str, frozenset[Scope]] = {}
+    known = frozenset(scope.value for scope in Scope)
+    for entry in filter(None, map(str.strip, given.split(";"))):
+        group, _, said = entry.rpartition("=")
+        wanted = frozenset(said.split())
+        if not group.strip() or not wanted or not wanted <= known or group.strip() in found:
+            rule = f"must be a group, named once, = and scopes of {', '.join(Scope)}, as in *=read; fitters=read match"
+            raise BadFieldError(f"JOINTPLAY_PEOPLE: {entry[:80]}: {rule}", field="people")
+        found[group.strip()] = frozenset(map(Scope, wanted))
+    return found

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import ipaddress
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
-from pydantic import Field
+from pydantic import Field, field_validator
 from pydantic_settings import (
     BaseSettings,
     PydanticBaseSettingsSource,
@@ -61,6 +63,16 @@ class ServiceSettings(BaseSettings):
     hosts: str = Field(
         default="localhost,127.0.0.1,::1",
         description="Names under which the service may be asked (Host header), with commas between; * for any.",
+    )
+    proxies: str = Field(
+        default="",
+        description="Addresses and networks of proxies in front, with commas between: from there alone"
+        " X-Forwarded-For and -Proto are believed.",
+    )
+    people: str = Field(
+        default="",
+        description="What people may do who sign in at such a proxy (X-Forwarded-User), by group (X-Forwarded-Groups):"
+        " *=read; fitters=read match.",
     )
     rate_limit_per_s: float = Field(
         default=1000.0, gt=0, description="Requests a second that one key, or one address without key, may make."
@@ -121,6 +133,13 @@ class ServiceSettings(BaseSettings):
     )
     page_size: int = Field(default=50, ge=1, le=500, description="Number of items in one page of a list.")
 
+    @field_validator("proxies")
+    @classmethod
+    def are_addresses(cls, given: str) -> str:
+        """Refuse proxies that are no addresses."""
+        networks(listed(given))
+        return given
+
     @classmethod
     def settings_customise_sources(
         cls,
@@ -163,4 +182,25 @@ class ServiceSettings(BaseSettings):
     @property
     def allowed_hosts(self) -> frozenset[str]:
         """Names of `hosts`, in lower case."""
-        return frozenset(name.strip().lower() for name in self.hosts.split(",") if name.strip())
+        return frozenset(name.lower() for name in listed(self.hosts))
+
+    @property
+    def trusted_proxies(self) -> tuple[str, ...]:
+        """Addresses and networks of `proxies`."""
+        return listed(self.proxies)
+
+
+def listed(given: str) -> tuple[str, ...]:
+    """Return the items of a text with commas between."""
+    return tuple(item.strip() for item in given.split(",") if item.strip())
+
+
+def networks(given: Sequence[str]) -> tuple[ipaddress.IPv4Network | ipaddress.IPv6Network, ...]:
+    """Return addresses and networks; an address is a network of one.
+
+    Raises
+    ------
+    ValueError
+        For what is neither.
+    """
+    return tuple(ipaddress.ip_network(each) for each in given)

@@ -108,6 +108,7 @@ def seeded(address: str, folder: Path) -> Path:
             examples.FINDING: made("POST", f"/diagnoses/{diagnosis}/finding", json=said),
             examples.BUILD: made("POST", "/builds", json={"machine": catalogue["machine"], "catalogue": "new"}),
             examples.WEBHOOK: made("POST", "/webhooks", json={"url": "https://hooks.example/", "events": event}),
+            examples.KEY: made("POST", "/keys", json={"name": "fuzz", "scopes": ["read"]}),
             examples.ENTRY: str(entry["key"])[:12],
             "slider-crank": catalogue["name"],
         }

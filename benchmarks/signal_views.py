@@ -123,7 +123,7 @@ def main() -> None:
             ServiceSettings(catalogues=folder / "none", data=folder / "data", workers=2, keys="off", max_upload_mb=200),
             warm=True,
         )
-        server = uvicorn.Server(uvicorn.Config(application, port=0, log_level="warning"))
+        server = uvicorn.Server(uvicorn.Config(application, port=0, log_level="warning", proxy_headers=False))
         thread = threading.Thread(target=server.run, daemon=True)
         thread.start()
         while not server.started:

@@ -1,4 +1,4 @@
-"""``jointplay keys``: make, list and take back the keys to a service's HTTP interface."""
+"""``jointplay keys``: make, list, renew and take back the keys to a service's HTTP interface."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from jointplay.app.commands.parameters import json_option, print_json
-from jointplay.app.scopes import Scope
+from jointplay.app.scopes import GRACE_HOURS, LIFETIME_DAYS, LONGEST_DAYS, LONGEST_GRACE_HOURS, Scope
 from jointplay.app.tables import table
 
 if TYPE_CHECKING:
@@ -22,6 +22,14 @@ data_option = click.option(
     type=click.Path(path_type=Path),
     metavar="DIR",
     help="The service's directory (JOINTPLAY_DATA) [default: .jointplay/server].",
+)
+
+days_option = click.option(
+    "--days",
+    type=click.IntRange(1, LONGEST_DAYS),
+    default=LIFETIME_DAYS,
+    show_default=True,
+    help="How long it holds, from now.",
 )
 
 
@@ -44,9 +52,7 @@ def command() -> None:
     show_default=True,
     help="What it may be used for; may be given several times.",
 )
-@click.option(
-    "--days", type=click.IntRange(1, 3650), default=365, show_default=True, help="How long it holds, from now."
-)
+@days_option
 @data_option
 @json_option
 def create(name: str, scopes: tuple[str, ...], days: int, data: Path | None, as_json: bool) -> None:
@@ -71,10 +77,42 @@ def list_keys(data: Path | None, as_json: bool) -> None:
         print_json([describe_key(key) for key in found])
         return
     rows = [
-        (key.id, key.name, " ".join(sorted(key.scopes)), day(key.created_at), day(key.expires_at), key.state)
+        (
+            key.id,
+            key.name,
+            " ".join(sorted(key.scopes)),
+            day(key.created_at),
+            day(key.expires_at),
+            "never" if key.used_at is None else day(key.used_at),
+            key.state,
+        )
         for key in found
     ]
-    click.echo(table(("id", "name", "scopes", "made", "holds until", "state"), rows))
+    click.echo(table(("id", "name", "scopes", "made", "holds until", "last used", "state"), rows))
+
+
+@command.command("rotate")
+@click.argument("identity", metavar="ID")
+@click.option(
+    "--grace-hours",
+    type=click.IntRange(0, LONGEST_GRACE_HOURS),
+    default=GRACE_HOURS,
+    show_default=True,
+    help="How long secrets before it hold yet; with 0 they and their sessions end now.",
+)
+@days_option
+@data_option
+@json_option
+def rotate(identity: str, grace_hours: int, days: int, data: Path | None, as_json: bool) -> None:
+    """Give the key ID a new secret and print it, once; the one before holds a while longer."""
+    with keys_of(data) as keys:
+        key, token, until = keys.rotate(identity, timedelta(hours=grace_hours), timedelta(days=days))
+    if as_json:
+        print_json({**describe_key(key), "key": token, "former_until": until.isoformat()})
+        return
+    former = f"the secret before it until {until:%Y-%m-%d %H:%M} UTC"
+    click.echo(f"jointplay: key {key.id} until {day(key.expires_at)}, {former}", err=True)
+    click.echo(token)
 
 
 @command.command("revoke")
@@ -116,6 +154,7 @@ def describe_key(key: Key) -> dict[str, object]:
         "scopes": sorted(key.scopes),
         "created_at": key.created_at.isoformat(),
         "expires_at": key.expires_at.isoformat(),
+        "used_at": None if key.used_at is None else key.used_at.isoformat(),
         "state": key.state,
     }
 

@@ -74,11 +74,11 @@ def command(
     configure(LogSettings(settings.log_format, settings.log_level))
     if not settings.catalogues.is_dir():
         say(settings, f"{settings.catalogues}: no catalogues there yet; `jointplay build` makes one")
+    application = create_app(settings, warm=True)
     listener = listen(host, port)
     say(settings, f"serving http://{host}:{listener.getsockname()[1]}")
     if settings.keys == "required":
         say(settings, "requests need a key; `jointplay keys create NAME` makes one")
-    application = create_app(settings, warm=True)
 
     class Server(uvicorn.Server):
         async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
@@ -91,6 +91,7 @@ def command(
         server_header=False,
         log_config=None,
         access_log=False,
+        proxy_headers=False,  # the application believes those of proxies that it is told of, and no others
         timeout_graceful_shutdown=ceil(settings.stop_limit_s),
     )
     server = Server(config)

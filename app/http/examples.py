@@ -28,6 +28,7 @@ BUILD = "58131617bf3da29c5b6c8cf7718f0dd5"
 FINDING = "9d2f6b1c4e8a40739b5c6d7e8f901a2b"
 WEBHOOK = "3a1d5e7f9b2c4d6e8f0a1b2c3d4e5f60"
 ENTRY = "61e0e39c6d7a"
+KEY = "3f9c21d07a55"
 
 #: Names and ids by name and the beginning of the path, the longest beginning first; other parameters say their own.
 PARAMETERS: tuple[tuple[str, str, Any], ...] = (
@@ -37,6 +38,7 @@ PARAMETERS: tuple[tuple[str, str, Any], ...] = (
     ("key", "/api/v1/diagnoses", DIAGNOSIS),
     ("key", "/api/v1/findings", FINDING),
     ("key", "/api/v1/webhooks", WEBHOOK),
+    ("key", "/api/v1/keys", KEY),
     ("name", "/api/v1/", "slider-crank"),
     ("external_id", "", "press-7"),
     ("measurement", "", MEASUREMENT),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 from urllib.parse import quote, urlsplit
 
@@ -20,7 +20,9 @@ from jointplay.app import logs
 from jointplay.app.actor import Actor, acting
 from jointplay.app.errors import ForbiddenError, RateLimitedError, UnauthorizedError, WrongHostError
 from jointplay.app.http.handlers import answer, is_fragment, is_page, path_of, problem_from
+from jointplay.app.http.proxies import Person, person_of
 from jointplay.app.scopes import READING, scope_of
+from jointplay.app.scopes import Scope as KeyScope
 from jointplay.app.settings import ServiceSettings
 
 if TYPE_CHECKING:
@@ -76,10 +78,13 @@ class Gate:
         The application behind.
     settings : Settings
         `keys`, `hosts`, `rate_limit_per_s`, `rate_burst` are used.
+    people : mapping of str to frozenset of Scope
+        What people of a group may do who signed in at a proxy.
     """
 
-    def __init__(self, app: ASGIApp, settings: ServiceSettings) -> None:
+    def __init__(self, app: ASGIApp, settings: ServiceSettings, people: Mapping[str, frozenset[KeyScope]]) -> None:
         self._app = app
+        self._people = people
         self._hosts = settings.allowed_hosts
         self._keyed = settings.keys == "required"
         self._buckets = TokenBuckets(settings.rate_limit_per_s, settings.rate_burst)
@@ -107,11 +112,13 @@ class Gate:
         path, method = path_of(request.scope), request.method
         if path not in PROBES:
             self._check_host(request)
-        key, by_cookie = None, False
+        key, person, by_cookie = None, None, False
         needed = scope_of(method, path)
         try:
+            person = None if path in PROBES else person_of(request, self._people)
+            request.state.person = None if person is None else person.name
             if self._keyed and needed is not None:
-                key, by_cookie = await identify(request, request.app.state.keys)
+                key, by_cookie = await identify(request, request.app.state.keys, person)
         finally:
             # Wrong keys are counted as well, at their sender's address.
             if path not in PROBES:
@@ -119,11 +126,14 @@ class Gate:
         request.state.key = None if key is None else key.id
         request.state.key_name = None if key is None else key.name
         request.state.signed_in = by_cookie
-        request.state.scopes = None if key is None else key.scopes
-        if method not in READING and (by_cookie or key is None):
-            check_origin(request, browser=by_cookie)
-        if key is not None and needed is not None and needed not in key.scopes:
-            raise ForbiddenError(f"the key {key.id} has not the scope {needed}, which {method} {path} needs", needed)
+        request.state.scopes = held = scopes_of(key, person) if self._keyed else None
+        # What the proxy knows its user by, a browser sends for every page that asks, as it does with cookies.
+        by_browser = by_cookie or (person is not None and key is None)
+        if method not in READING and (by_browser or key is None):
+            check_origin(request, browser=by_browser)
+        if held is not None and needed is not None and needed not in held:
+            who = f"the key {key.id}" if key is not None else f"{request.state.person} (JOINTPLAY_PEOPLE)"
+            raise ForbiddenError(f"{who} has not the scope {needed}, which {method} {path} needs", needed)
 
     def _check_host(self, request: Request) -> None:
         """Refuse a request that names another host: a page that points its own name here must not be answered."""
@@ -140,8 +150,10 @@ class Gate:
             raise RateLimitedError("too many requests; Retry-After says when to try again", math.ceil(wait))
 
 
-async def identify(request: Request, keys: Keys) -> tuple[Key, bool]:
+async def identify(request: Request, keys: Keys, person: Person | None = None) -> tuple[Key | None, bool]:
     """Return the key of a request, and whether it came by a browser's cookie.
+
+    A key that is sent counts before the person, the person before the cookie; a person has none.
 
     Raises
     ------
@@ -151,10 +163,22 @@ async def identify(request: Request, keys: Keys) -> tuple[Key, bool]:
     token = token_of(request)
     if token is not None:
         return await run_in_threadpool(keys.find, token), False
+    if person is not None:
+        return None, False
     session = request.cookies.get(COOKIE)
     if session is not None:
         return await run_in_threadpool(keys.of_session, session), True
     raise UnauthorizedError("a key is needed: Authorization: Bearer KEY, or X-API-Key: KEY")
+
+
+def scopes_of(key: Key | None, person: Person | None) -> frozenset[KeyScope] | None:
+    """Return what may be done: by a key what it is for, without one what the person may; nothing is known of others."""
+    return key.scopes if key is not None else person.scopes if person is not None else None
+
+
+def name_of(request: Request) -> str:
+    """Return who asks, as people call them: the person, or the name of the key; empty where neither is known."""
+    return request.state.person or request.state.key_name or ""
 
 
 def token_of(request: Request) -> str | None:

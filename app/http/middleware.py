@@ -25,6 +25,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from jointplay.app import logs
 from jointplay.app.errors import BadRequestError, NotReadyError, SlowRequestError, UploadTooLargeError
+from jointplay.app.http.gate import address
 from jointplay.app.http.handlers import handle, path_of
 from jointplay.app.http.uploads import MULTIPART
 from jointplay.app.metrics import Metrics
@@ -52,6 +53,8 @@ HEADERS = {
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
 }
+TLS_HEADERS = HEADERS | {"Strict-Transport-Security": "max-age=31536000"}
+"""Where the client speaks TLS, with us or with a proxy: for a year its browser will not speak otherwise."""
 
 JSON_BYTES = 1_000_000
 RECORDINGS = f"{API}/measurements"
@@ -81,7 +84,7 @@ class SecurityHeaders:
         async def with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
                 headers = MutableHeaders(scope=message)
-                for name, value in HEADERS.items():
+                for name, value in (TLS_HEADERS if scope["scheme"] == "https" else HEADERS).items():
                     headers.setdefault(name, value)  # a page of its own kind may say something stricter
                 if headers.get("content-type", "").startswith("text/html"):
                     # Pages and their parts share addresses; going back must not show one for the other.
@@ -291,7 +294,9 @@ class RequestLog:
             "path": scope["path"],
             "status": status,
             "duration_ms": round(1000 * seconds, 1),
+            "address": address(Request(scope)),
             "key": scope["state"].get("key"),
+            "person": scope["state"].get("person"),
         }
         if "problem" in scope["state"]:
             told["problem"] = scope["state"]["problem"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from math import pi
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
     from jointplay.catalogue.signals.shown_motion import ShownSignal
     from jointplay.catalogue.signals.signal_question import SignalQuestion
 
+#: In place of a media type: every value of every line by itself, as JSON.
+ROWS, MOST_ROWS = "rows", 100_000
 #: Part of a recording that a speed is looked for in.
 SEARCHED_S = 20.0
 
@@ -41,7 +44,7 @@ def look(
     stored : StoredRecording
     question : SignalQuestion
     kind : str
-        ``text/csv`` or ``application/json``.
+        ``text/csv``, ``application/json`` or `ROWS`.
     machine : mapping, optional
         The machine's canonical document.
     mapping : mapping of column to sensor
@@ -69,6 +72,8 @@ def look(
         shown = show_signal(recording, question, parsed, mapping or None)
     if kind == "text/csv":
         return as_csv(shown)
+    if kind == ROWS:
+        return as_rows(shown, question)
     return signal_out(stored.id, recording, question, shown).model_dump_json().encode()
 
 
@@ -122,6 +127,29 @@ def signal_out(key: str, recording: Recording, question: SignalQuestion, shown: 
 def plain(numbers: np.typing.NDArray[np.floating[Any]], digits: int = 6) -> list[float]:
     """Return numbers with as many digits as a chart needs."""
     return [float(f"{number:.{digits}g}") for number in numbers.tolist()]
+
+
+def as_rows(shown: ShownSignal, question: SignalQuestion) -> bytes:
+    """Return what is seen as a list of values, each with its place and what it is.
+
+    Raises
+    ------
+    BadFieldError
+        Of what has no lines, or more values than anybody can look at.
+    """
+    if shown.overall or shown.rows is not None:
+        rule = "is not made of lines; its rows stand in the answer of /signal"
+        raise BadFieldError(f"view: {question.view}: {rule}", field="view")
+    at = plain(shown.at, 9)
+    if len(at) * len(shown.lines) > MOST_ROWS:
+        rule = f"of {len(shown.lines)} lines are more than {MOST_ROWS} rows; ask for fewer, or for one channel"
+        raise BadFieldError(f"points: {len(at)} {rule}", field="points")
+    rows = [
+        {"at": place, "name": line.name, "kind": line.kind, "unit": line.unit, "value": value}
+        for line in shown.lines
+        for place, value in zip(at, plain(line.values), strict=True)
+    ]
+    return json.dumps(rows, ensure_ascii=False, separators=(",", ":")).encode()
 
 
 def as_csv(shown: ShownSignal) -> bytes:

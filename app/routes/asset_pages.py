@@ -13,6 +13,7 @@ from starlette.responses import RedirectResponse, Response
 
 from jointplay.app.errors import BadFieldError
 from jointplay.app.http import paging
+from jointplay.app.http.gate import name_of
 from jointplay.app.http.handlers import note, problem_from, templates
 from jointplay.app.http.validation import validate
 from jointplay.app.pages.history import history
@@ -129,7 +130,7 @@ async def acknowledge(request: Request, external_id: str) -> Response:
             await run_in_threadpool(standings.forget_acknowledgement, external_id)
         else:
             seen = validate(Acknowledgement, given)
-            by = request.state.key_name or ""
+            by = name_of(request)
             await run_in_threadpool(standings.acknowledge, external_id, seen.state, by, seen.note)
     except REFUSALS as error:
         return await show_refusal(request, external_id, None, problem_from(error))

@@ -7,17 +7,19 @@ from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
+from pydantic import TypeAdapter
 from starlette.concurrency import run_in_threadpool
 
 from jointplay.app.errors import BadFieldError, DeletedError, UnknownMeasurementError
 from jointplay.app.etags import respond
 from jointplay.app.http import paging
 from jointplay.app.http.deleting import DELETED, Why, delete
+from jointplay.app.http.gate import name_of
 from jointplay.app.http.openapi import problems
 from jointplay.app.http.uploads import JSON_TYPE, json_body
 from jointplay.app.routes.findings import damaged_out
 from jointplay.app.routes.machines import Cursor, Limit
-from jointplay.app.schemas.assets import EXTERNAL_ID, TEXT, Acknowledgement, AssetIn, AssetOut, AssetPage
+from jointplay.app.schemas.assets import EXTERNAL_ID, TEXT, Acknowledgement, AssetIn, AssetOut, AssetPage, TrendRow
 from jointplay.app.service import Service, of_request
 from jointplay.app.storage.assets import AssetRow, Assets
 from jointplay.app.storage.idempotency import IdempotencyKey
@@ -41,6 +43,7 @@ State = Annotated[StandingName | None, Query(examples=["alarm"], description="On
 Search = Annotated[
     str | None, Query(max_length=200, pattern=TEXT, examples=["press"], description="In id, machine or notes.")
 ]
+TREND = TypeAdapter(list[TrendRow])
 CREATED: dict[int | str, dict[str, Any]] = {201: {"model": AssetOut, "description": "There was none of this id."}}
 
 
@@ -93,6 +96,27 @@ async def state(request: Request, external_id: ExternalId) -> Response:
     return respond(request, Response(text, media_type=JSON_TYPE), hashlib.sha256(text.encode()).hexdigest())
 
 
+@router.get("/{external_id}/series", response_model=list[TrendRow], responses=problems(404, 422, 503))
+async def series(request: Request, external_id: ExternalId) -> Response:
+    """Return the courses of `/state` as a plain list, a row a joint and recording: for panels that read flat rows."""
+    found = await of_request(request).follow(external_id)
+    rows = [
+        TrendRow(
+            at=point.at,
+            joint=name,
+            p_worn=point.p_worn,
+            clearance_um=point.clearance_um,
+            low_um=point.interval_um[0],
+            high_um=point.interval_um[1],
+            limit_um=joint.limit_um,
+        )
+        for name, joint in found.joints.items()
+        for point in joint.course
+    ]
+    text = TREND.dump_json(rows)
+    return respond(request, Response(text, media_type=JSON_TYPE), hashlib.sha256(text).hexdigest())
+
+
 @router.put(
     "/{external_id}/acknowledgement", responses=problems(400, 404, 413, 415, 422), dependencies=[Depends(json_body)]
 )
@@ -100,7 +124,7 @@ def acknowledge(request: Request, external_id: ExternalId, seen: Acknowledgement
     """Say that somebody has seen how the asset stands; it holds until that gets worse or has another reason."""
     database = of_request(request).store.database
     found = Assets(database).asset(external_id)
-    Standings(database).acknowledge(found.external_id, seen.state, request.state.key_name or "", seen.note)
+    Standings(database).acknowledge(found.external_id, seen.state, name_of(request), seen.note)
     return asset_out(Assets(database).asset(external_id))
 
 

@@ -16,7 +16,7 @@ from jointplay.app.http.openapi import problems
 from jointplay.app.http.query import chosen_type
 from jointplay.app.jobs import signals
 from jointplay.app.jobs.samples import StoredRecording
-from jointplay.app.schemas.signals import SignalOut, SignalQuery
+from jointplay.app.schemas.signals import SignalOut, SignalQuery, SignalRow
 from jointplay.app.service import Service, of_request, speed_of
 from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
 from jointplay.catalogue.signals.signal_question import SignalQuestion
@@ -42,6 +42,16 @@ async def signal(request: Request, key: str, query: Annotated[SignalQuery, Query
     service = of_request(request)
     found = await look(service, key, query, kind)
     return respond(request, Response(found, media_type=kind), hashlib.sha256(found).hexdigest()[:40])
+
+
+@router.get("/{key}/series", response_model=list[SignalRow], responses=problems(404, 422, 500, 503, 504))
+async def series(request: Request, key: str, query: Annotated[SignalQuery, Query()]) -> Response:
+    """Return the lines of `/signal` as a plain list of values, each with its place: for panels that read flat rows.
+
+    What is seen otherwise, overall levels and spectrograms, is refused.
+    """
+    found = await look(of_request(request), key, query, signals.ROWS)
+    return respond(request, Response(found, media_type=FORMS[0]), hashlib.sha256(found).hexdigest()[:40])
 
 
 async def look(service: Service, key: str, query: SignalQuery, kind: str) -> bytes:

@@ -21,9 +21,9 @@ FORM = "application/x-www-form-urlencoded"
 
 @router.get("/sign-in")
 async def form(request: Request) -> Response:
-    """Show the form; without keys there is nothing to sign in to."""
+    """Show the form; without keys, and for whom a proxy knows, there is nothing to sign in to."""
     place = local(request.query_params.get("next", "/"))
-    if of_request(request).settings.keys == "off":
+    if of_request(request).settings.keys == "off" or request.state.person:
         return RedirectResponse(place, status_code=303)
     return show_form(request, place, "", 200)
 

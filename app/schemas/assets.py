@@ -97,7 +97,7 @@ class Acknowledgement(Shape):
 class Acknowledged(Shape):
     """Who has seen how an asset stands; it holds until the state gets worse, or something else is the reason."""
 
-    by: str = Field(description="Name of the key; empty where no keys are asked for.")
+    by: str = Field(description="The person, or the name of the key; empty where neither is asked for.")
     at: datetime
     note: str
 
@@ -144,6 +144,18 @@ class AssetPage(StoredPage):
     """A page of assets."""
 
     items: list[AssetOut]
+
+
+class TrendRow(Shape):
+    """How worn one joint was at one moment, by all that was known then."""
+
+    at: datetime
+    joint: str
+    p_worn: float
+    clearance_um: float = Field(description="Radial.")
+    low_um: float = Field(description="Of an interval that holds it with 90 %.")
+    high_um: float
+    limit_um: float
 
 
 class JointFound(Shape):

@@ -64,15 +64,29 @@ class SignalQuery(BaseModel):
     points: Annotated[int, Field(ge=2, le=20_000, examples=[12], description="Places on the axis, at most.")] = 1200
 
 
+LineKind = Annotated[
+    Literal["value", "low", "high", "mean", "rms"],
+    Field(description="`low` and `high`: of the samples of each place, where there are more of them than points."),
+]
+
+
 class SignalLine(Shape):
     """A line over the axis."""
 
     name: str = Field(description="Of the channel, or of the frame's motion.")
-    kind: Literal["value", "low", "high", "mean", "rms"] = Field(
-        description="`low` and `high`: of the samples of each place, where there are more of them than points."
-    )
+    kind: LineKind
     unit: str
     values: list[float]
+
+
+class SignalRow(Shape):
+    """One value of a line, by itself."""
+
+    at: float = Field(description="Place on the axis: s, Hz, orders, revolutions or the angle of the drive.")
+    name: str = Field(description="Of the channel, or of the frame's motion.")
+    kind: LineKind
+    unit: str
+    value: float
 
 
 class SignalMap(Shape):

@@ -89,7 +89,7 @@ async def once(
     """
     if key is None:
         return await act()
-    client = getattr(request.state, "key", None)
+    client = getattr(request.state, "key", None) or getattr(request.state, "person", None)
     place = digest([client, request.method, request.scope["path"], key])
     moment = now()
     earlier = await run_in_threadpool(reserve, database, place, digest(content), moment)

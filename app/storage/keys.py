@@ -1,18 +1,21 @@
-"""API keys and the sessions of browsers: made, looked up, taken back; of their secrets only hashes are kept."""
+"""API keys and the sessions of browsers: made, looked up, renewed, taken back; of secrets only hashes are kept."""
 
 from __future__ import annotations
 
 import hashlib
 import hmac
 import secrets
-from dataclasses import dataclass
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
+from typing import Literal
 
 from cachetools import TTLCache
-from sqlalchemy import String, delete, select
-from sqlalchemy.orm import Mapped, mapped_column
+from sqlalchemy import String, delete, select, update
+from sqlalchemy.orm import Mapped, Session, mapped_column
 
-from jointplay.app.errors import UnauthorizedError, UnknownKeyError
+from jointplay.app.errors import KeyRevokedError, UnauthorizedError, UnknownKeyError
 from jointplay.app.scopes import Scope
 from jointplay.app.storage.audit import note
 from jointplay.app.storage.database import ServiceDatabase, is_id
@@ -37,6 +40,25 @@ class ApiKeyRow(Base):
     created_at: Mapped[datetime]
     expires_at: Mapped[datetime]
     revoked_at: Mapped[datetime | None]
+
+
+class FormerSecretRow(Base):
+    """A secret that a key had before; it holds a while longer, until all who use it have the new one."""
+
+    __tablename__ = "api_former_secrets"
+
+    sha256: Mapped[str] = mapped_column(String(64), primary_key=True)
+    key: Mapped[str] = mapped_column(String(16), index=True)
+    expires_at: Mapped[datetime]
+
+
+class KeyUseRow(Base):
+    """When a key was used last, to the minute."""
+
+    __tablename__ = "api_key_uses"
+
+    key: Mapped[str] = mapped_column(String(16), primary_key=True)
+    used_at: Mapped[datetime]
 
 
 class SessionRow(Base):
@@ -65,6 +87,8 @@ class Key:
         UTC.
     revoked_at : datetime or None
         When it was taken back.
+    used_at : datetime or None
+        When it was used last, to the minute, where that was asked for.
     """
 
     id: str
@@ -73,9 +97,10 @@ class Key:
     created_at: datetime
     expires_at: datetime
     revoked_at: datetime | None
+    used_at: datetime | None = None
 
     @property
-    def state(self) -> str:
+    def state(self) -> Literal["valid", "expired", "revoked"]:
         """Return ``valid``, ``expired`` or ``revoked``."""
         if self.revoked_at is not None:
             return "revoked"
@@ -94,6 +119,8 @@ class Keys:
     def __init__(self, database: ServiceDatabase) -> None:
         self._database = database
         self._refused: TTLCache[str, bool] = TTLCache(ADDRESSES, QUIET_S)
+        self._used: dict[str, datetime] = {}
+        self._using = threading.Lock()
 
     def create(self, name: str, scopes: frozenset[Scope], lifetime: timedelta) -> tuple[Key, str]:
         """Make a key; return it and the token that is shown once and kept nowhere.
@@ -125,7 +152,53 @@ class Keys:
     def all(self) -> list[Key]:
         """Return all keys, the oldest first, those included that no longer hold."""
         with self._database.reading() as session:
-            return [key_of(row) for row in session.scalars(select(ApiKeyRow).order_by(ApiKeyRow.created_at))]
+            return self._with_use(session, session.scalars(select(ApiKeyRow).order_by(ApiKeyRow.created_at)).all())
+
+    def key(self, identity: str) -> Key:
+        """Return a key, also one that no longer holds.
+
+        Raises
+        ------
+        UnknownKeyError
+            When there is none of this id.
+        """
+        with self._database.reading() as session:
+            return self._with_use(session, [_known(session, identity)])[0]
+
+    def rotate(self, identity: str, grace: timedelta, lifetime: timedelta) -> tuple[Key, str, datetime]:
+        """Give a key a new secret; return it, its new token and until when the secrets before it hold.
+
+        Parameters
+        ----------
+        identity : str
+        grace : timedelta
+            From now on; no secret holds for longer than it would have, nor does a session.
+        lifetime : timedelta
+            Of the new secret, from now on.
+
+        Raises
+        ------
+        UnknownKeyError
+            When there is none of this id.
+        KeyRevokedError
+            When it was taken back.
+        """
+        secret, moment = secrets.token_urlsafe(SECRET_BYTES), now()
+        with self._database.writing() as session:
+            row = _known(session, identity, locked=True)  # of two at once, the second comes after the first
+            if row.revoked_at is not None:
+                raise KeyRevokedError(f"the key {row.id} was revoked; make another")
+            before = about_key(row)
+            until = min(moment + grace, row.expires_at)
+            for table in (FormerSecretRow, SessionRow):
+                late = (table.key == row.id) & (table.expires_at > until)
+                session.execute(update(table).where(late).values(expires_at=until))
+                session.execute(delete(table).where(table.expires_at <= moment))
+            if until > moment:
+                session.add(FormerSecretRow(sha256=row.sha256, key=row.id, expires_at=until))
+            row.sha256, row.expires_at = digest(secret), moment + lifetime
+            note(session, "rotated", "key", row.id, before, about_key(row))
+            return self._with_use(session, [row])[0], f"{PREFIX}_{row.id}_{secret}", until
 
     def revoke(self, identity: str) -> Key:
         """Take a key back, and end the sessions that were opened with it; it holds for no later request.
@@ -136,15 +209,14 @@ class Keys:
             When there is none of this id.
         """
         with self._database.writing() as session:
-            row = session.get(ApiKeyRow, identity)
-            if row is None:
-                raise UnknownKeyError(f"key {identity}: there is none of this id; `jointplay keys list` shows them")
+            row = _known(session, identity)
             before = about_key(row)
             row.revoked_at = row.revoked_at or now()
             if before["revoked_at"] is None:
-                note(session, "revoked", "key", identity, before, about_key(row))
-            session.execute(delete(SessionRow).where(SessionRow.key == identity))
-            return key_of(row)
+                note(session, "revoked", "key", row.id, before, about_key(row))
+            for table in (SessionRow, FormerSecretRow):
+                session.execute(delete(table).where(table.key == row.id))
+            return self._with_use(session, [row])[0]
 
     def find(self, token: str) -> Key:
         """Return the key that a token is of.
@@ -158,14 +230,17 @@ class Keys:
         identity, _, secret = rest.partition("_")
         if prefix != PREFIX or not secret:
             raise UnauthorizedError("the key is not of the form that this service hands out")
-        row = None
+        row, sent = None, digest(secret)
         if is_id(identity):  # PostgreSQL refuses texts with some other characters
             with self._database.reading() as session:
                 row = session.get(ApiKeyRow, identity)
-        # The comparison takes as long for a wrong secret as for a right one.
-        if row is None or not hmac.compare_digest(row.sha256, digest(secret)):
+                # The comparison takes as long for a wrong secret as for a right one.
+                if row is not None and not hmac.compare_digest(row.sha256, sent):
+                    former = session.get(FormerSecretRow, sent)
+                    row = row if former is not None and former.key == row.id and now() < former.expires_at else None
+        if row is None:
             raise UnauthorizedError("the key is not known here")
-        return valid(key_of(row))
+        return self._in_use(row)
 
     def open_session(self, key: Key) -> str:
         """Return the token of a new session of a key; sessions that are over are forgotten."""
@@ -199,12 +274,49 @@ class Keys:
             owner = None if row is None else session.get(ApiKeyRow, row.key)
         if row is None or owner is None or row.expires_at <= now():
             raise UnauthorizedError("the session is over; sign in again")
-        return valid(key_of(owner))
+        return self._in_use(owner)
 
     def close_session(self, token: str) -> None:
         """End a session."""
         with self._database.writing() as session:
             session.execute(delete(SessionRow).where(SessionRow.sha256 == digest(token)))
+
+    def write_uses(self) -> None:
+        """Store when keys were used since this was called last; a server does it once a minute."""
+        with self._using:
+            used = dict(self._used)
+        if not used:
+            return
+        statement = self._database.insert(KeyUseRow).values([{"key": key, "used_at": at} for key, at in used.items()])
+        newer = statement.excluded.used_at
+        kept = {"index_elements": ["key"], "set_": {"used_at": newer}, "where": KeyUseRow.used_at < newer}
+        with self._database.writing() as session:
+            session.execute(statement.on_conflict_do_update(**kept))
+        with self._using:  # what could not be stored is stored the next time
+            self._used = {key: at for key, at in self._used.items() if used.get(key) != at}
+
+    def _in_use(self, row: ApiKeyRow) -> Key:
+        """Return a key that is used now, if it holds."""
+        key = valid(key_of(row))
+        with self._using:
+            self._used[key.id] = now()
+        return key
+
+    def _with_use(self, session: Session, rows: Sequence[ApiKeyRow]) -> list[Key]:
+        """Return keys with the moments of their last use, those included that are not stored yet."""
+        stored = {use.key: use.used_at for use in session.scalars(select(KeyUseRow))}
+        found = []
+        for row in rows:
+            moments = [at for at in (stored.get(row.id), self._used.get(row.id)) if at is not None]
+            found.append(replace(key_of(row), used_at=max(moments, default=None)))
+        return found
+
+
+def _known(session: Session, identity: str, *, locked: bool = False) -> ApiKeyRow:
+    row = session.get(ApiKeyRow, identity, with_for_update=locked) if is_id(identity) else None
+    if row is None:
+        raise UnknownKeyError(f"key {identity[:80]}: there is none of this id; `jointplay keys list` shows them")
+    return row
 
 
 def about_key(row: ApiKeyRow) -> dict[str, object]:

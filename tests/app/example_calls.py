@@ -15,7 +15,14 @@ import httpx
 from small_service import serving
 from sqlalchemy import update
 
-from jointplay.app.errors import BusyError, DatabaseGoneError, KeyInUseError, TimeLimitError, WorkerDiedError
+from jointplay.app.errors import (
+    BusyError,
+    DatabaseGoneError,
+    KeyInUseError,
+    KeyRevokedError,
+    TimeLimitError,
+    WorkerDiedError,
+)
 from jointplay.app.http import examples
 from jointplay.app.http.gate import Gate
 from jointplay.app.jobs.standing_keeper import StandingKeeper
@@ -34,6 +41,7 @@ BINARY = ("application/pdf", "application/x-hdf5", "application/x-npy")
 #: What creates comes first, and gives the ids that the others ask for; what forgets comes last.
 FIRST = (
     "/api/v1/webhooks",
+    "/api/v1/keys",
     "/api/v1/measurements",
     "/api/v1/assets/{external_id}",
     "/api/v1/diagnoses",
@@ -44,6 +52,7 @@ CREATED = {
     "/api/v1/builds": examples.BUILD,
     "/api/v1/diagnoses/{key}/finding": examples.FINDING,
     "/api/v1/webhooks": examples.WEBHOOK,
+    "/api/v1/keys": examples.KEY,
     "/api/v1/measurements": examples.MEASUREMENT,
 }
 
@@ -219,6 +228,8 @@ class ExampleService:
             return KeyInUseError("Idempotency-Key: the first request with it is not answered yet")
         if call.path.endswith("/forecasts") and status == 409:
             return CatalogueMismatchError("press-7", "holds a catalogue of another machine: name another folder")
+        if call.path.endswith("/rotate") and status == 409:
+            return KeyRevokedError(f"the key {call.where['key']} was revoked; make another")
         if "entries" in call.path and status in (409, 500):
             if status == 409:
                 return CatalogueMismatchError("slider-crank", "has layout 1; this program reads layout 2")
@@ -277,6 +288,8 @@ def too_large(call: Call, _operation: dict[str, Any]) -> Call:
 
 def wrong(call: Call, operation: dict[str, Any]) -> Call:
     """A field that breaks a rule: of the body, of the query, of the path."""
+    if call.path.endswith("/rotate"):  # everything in it may be left out
+        return replace(call, sent={"json": {"days": 0}})
     if "json" in call.sent:
         body = dict(call.sent["json"])
         body.pop(

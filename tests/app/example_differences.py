@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from typing import Any
 
 ID = re.compile(r"\b[0-9a-f]{12,64}\b")
-SECRET = re.compile(r"whsec_[\w+/=]+")
+SECRET = re.compile(r"whsec_[\w+/=]+|jp_[0-9a-f]{12}_[\w-]+")
 TIME = re.compile(r"\d{4}-\d\d-\d\dT[\d:.]+Z")
 NUMBER = re.compile(r"-?\d+(\.\d+)?(e[-+]?\d+)?")
 #: Numbers that were computed differ from one computer to another: joints that knock make much of a rounding, and the

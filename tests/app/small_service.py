@@ -33,7 +33,7 @@ def serving(settings: ServiceSettings, *, warm: bool = False) -> Iterator[str]:
 @contextmanager
 def running(application: ASGIApp) -> Iterator[str]:
     """Run an application by a real server in a thread; gives its address."""
-    server = uvicorn.Server(uvicorn.Config(application, port=0, log_level="warning"))
+    server = uvicorn.Server(uvicorn.Config(application, port=0, log_level="warning", proxy_headers=False))
     thread = threading.Thread(target=server.run, daemon=True)
     thread.start()
     deadline = time.monotonic() + 300

@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import logging
 from collections.abc import Iterator
 from datetime import timedelta
 from pathlib import Path
+from unittest import mock
 
 import httpx
 import pytest
 from command_line import invoke
 from small_service import serving
+from sqlalchemy import event
+from sqlalchemy.exc import OperationalError
 
-from jointplay.app.errors import UnauthorizedError, UnknownKeyError
+from jointplay.app.errors import KeyRevokedError, UnauthorizedError, UnknownKeyError
+from jointplay.app.jobs.key_uses import store_uses
 from jointplay.app.scopes import Scope, scope_of
 from jointplay.app.settings import ServiceSettings
+from jointplay.app.storage.database import ServiceDatabase
 from jointplay.app.storage.keys import Keys
+from jointplay.app.storage.rows import now
 from jointplay.app.storage.store import Store
 
 API = "/api/v1"
@@ -57,6 +64,8 @@ def guarded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Key
         ("PUT", "/api/v1/assets/press-7", Scope.MATCH),
         ("GET", "/api/v1/webhooks", Scope.ADMIN),
         ("DELETE", "/api/v1/webhooks/7", Scope.ADMIN),
+        ("GET", "/api/v1/keys", Scope.ADMIN),
+        ("POST", "/api/v1/keys/7/rotate", Scope.ADMIN),
         ("POST", "/diagnose", Scope.MATCH),
         ("GET", "/", Scope.READ),
         ("GET", "/metrics", Scope.READ),
@@ -108,6 +117,86 @@ def test_a_revoked_key_takes_its_sessions_along(keys: Keys) -> None:
         keys.revoke("000000000000")
 
 
+def test_a_new_secret_leaves_the_old_one_a_while(keys: Keys) -> None:
+    first = make(keys, Scope.READ, days=100)
+    key = keys.find(first)
+    session = keys.open_session(key)
+    renewed, second, until = keys.rotate(key.id, timedelta(hours=24), timedelta(days=30))
+    assert (renewed.id, renewed.scopes, renewed.name) == (key.id, key.scopes, key.name)
+    assert renewed.expires_at < key.expires_at
+    assert timedelta(hours=23) < until - now() <= timedelta(hours=24)
+    assert {keys.find(token).id for token in (first, second)} == {keys.of_session(session).id} == {key.id}
+    _, third, _ = keys.rotate(key.id, timedelta(0), timedelta(days=30))
+    for token in (first, second):  # all that were before
+        with pytest.raises(UnauthorizedError, match="not known"):
+            keys.find(token)
+    with pytest.raises(UnauthorizedError, match="session is over"):
+        keys.of_session(session)
+    assert keys.find(third).id == key.id
+    keys.rotate(key.id, timedelta(hours=24), timedelta(days=30))
+    keys.revoke(key.id)
+    with pytest.raises(UnauthorizedError):
+        keys.find(third)
+    with pytest.raises(KeyRevokedError, match="was revoked"):
+        keys.rotate(key.id, timedelta(0), timedelta(days=1))
+    with pytest.raises(UnknownKeyError):
+        keys.rotate("nobody", timedelta(0), timedelta(days=1))
+
+
+def test_a_secret_that_has_expired_is_not_revived_by_a_new_one(keys: Keys) -> None:
+    first = make(keys, Scope.READ, days=-1)
+    (key,) = keys.all()
+    _, second, until = keys.rotate(key.id, timedelta(hours=24), timedelta(days=30))
+    assert until == key.expires_at < now()
+    assert keys.find(second).state == "valid"
+    with pytest.raises(UnauthorizedError, match="not known"):
+        keys.find(first)
+
+
+def test_a_former_secret_is_of_its_own_key_alone(keys: Keys) -> None:
+    first, other = make(keys, Scope.READ), make(keys, Scope.ADMIN)
+    keys.rotate(keys.find(first).id, timedelta(hours=1), timedelta(days=1))
+    with pytest.raises(UnauthorizedError):
+        keys.find("_".join([*other.split("_")[:2], first.split("_", 2)[2]]))
+
+
+def test_last_uses_are_written_once_for_many(url: str, tmp_path: Path) -> None:
+    store = Store(tmp_path, url)
+    here, there = Keys(store.database), Keys(store.database)
+    token = make(here, Scope.READ)
+    assert [key.used_at for key in here.all()] == [None]
+    statements: list[str] = []
+    event.listen(store.database.engine, "before_cursor_execute", lambda *each: statements.append(each[2]))
+    for _ in range(5):
+        used = here.find(token)
+    assert not any("api_key_uses" in each for each in statements)
+    first = here.key(used.id).used_at
+    assert first is not None and there.key(used.id).used_at is None
+    here.write_uses()
+    here.write_uses()
+    assert sum("INSERT INTO api_key_uses" in each for each in statements) == 1
+    assert there.key(used.id).used_at == first
+    there.find(token)
+    there.write_uses()
+    last = here.key(used.id).used_at
+    assert last is not None and last > first
+    # A server that was slow to write takes nothing back.
+    here._used = {used.id: first}
+    here.write_uses()
+    assert there.key(used.id).used_at == last
+    store.close()
+
+
+def test_a_use_that_cannot_be_written_is_written_later(keys: Keys, caplog: pytest.LogCaptureFixture) -> None:
+    token = make(keys, Scope.READ)
+    used = keys.find(token)
+    with mock.patch.object(ServiceDatabase, "writing", side_effect=OperationalError("x", {}, OSError("locked"))):
+        asyncio.run(store_uses(keys))
+    assert "wait for the database: OperationalError" in caplog.text
+    asyncio.run(store_uses(keys))
+    assert Keys(keys._database).key(used.id).used_at == keys.key(used.id).used_at is not None
+
+
 def test_secrets_are_not_in_the_database(keys: Keys, tmp_path: Path) -> None:
     token = make(keys, Scope.READ)
     session = keys.open_session(keys.find(token))
@@ -142,6 +231,68 @@ def test_a_key_opens_what_its_scopes_say(guarded: tuple[str, Keys]) -> None:
     matcher = {"Authorization": f"Bearer {make(keys, Scope.MATCH)}"}
     assert httpx.post(f"{address}{API}/diagnoses", headers=matcher, json={}).status_code == 422
     assert httpx.get(f"{address}{API}/machines", headers=matcher).status_code == 403
+
+
+def test_keys_over_the_interface(guarded: tuple[str, Keys]) -> None:
+    address, keys = guarded
+    admin = {"Authorization": f"Bearer {make(keys, Scope.ADMIN, Scope.READ)}"}
+    place = f"{address}{API}/keys"
+    made = httpx.post(place, headers=admin, json={"name": "historian", "scopes": ["read"], "days": 90})
+    assert made.status_code == 201
+    document = made.json()
+    token = document.pop("key")
+    assert made.headers["location"] == f"{API}/keys/{document['id']}"
+    assert (document["state"], document["used_at"], document["scopes"]) == ("valid", None, ["read"])
+    reader = {"Authorization": f"Bearer {token}"}
+    assert httpx.get(f"{address}{API}/machines", headers=reader).status_code == 200
+    shown = httpx.get(f"{place}/{document['id']}", headers=admin)
+    assert shown.json() == {**document, "used_at": shown.json()["used_at"]} and shown.json()["used_at"] is not None
+    newest = httpx.get(place, headers=admin, params={"limit": 1}).json()
+    assert [each["id"] for each in newest["items"]] == [document["id"]]
+    rest = httpx.get(place, headers=admin, params={"cursor": newest["next_cursor"], "limit": 500}).json()
+    assert len(rest["items"]) == len(keys.all()) - 1 and rest["next_cursor"] is None
+    assert token.split("_", 2)[2] not in shown.text + json.dumps(rest) + json.dumps(newest)
+    rotated = httpx.post(f"{place}/{document['id']}/rotate", headers=admin, json={"grace_hours": 1})
+    assert rotated.status_code == 200
+    renewed = {"Authorization": f"Bearer {rotated.json()['key']}"}
+    for headers in (reader, renewed):
+        assert httpx.get(f"{address}{API}/machines", headers=headers).status_code == 200
+    assert httpx.post(f"{place}/{document['id']}/revoke", headers=admin).json()["state"] == "revoked"
+    for headers in (reader, renewed):
+        assert httpx.get(f"{address}{API}/machines", headers=headers).status_code == 401
+    gone = httpx.post(f"{place}/{document['id']}/rotate", headers=admin, json={})
+    assert (gone.status_code, gone.json()["type"]) == (409, "urn:jointplay:problem:key-revoked")
+    assert httpx.get(f"{place}/unknown", headers=admin).status_code == 404
+    assert httpx.get(place, headers=renewed).status_code == 401
+
+
+@pytest.mark.parametrize(
+    ("body", "field"),
+    [
+        ({"name": "", "scopes": ["read"]}, "name"),
+        ({"name": "a\x00b", "scopes": ["read"]}, "name"),
+        ({"name": "x", "scopes": []}, "scopes"),
+        ({"name": "x", "scopes": ["root"]}, "scopes.0"),
+        ({"name": "x", "scopes": ["read"], "days": 0}, "days"),
+        ({"name": "x", "scopes": ["read"], "days": 3651}, "days"),
+    ],
+)
+def test_keys_that_cannot_be(guarded: tuple[str, Keys], body: dict[str, object], field: str) -> None:
+    address, keys = guarded
+    admin = {"Authorization": f"Bearer {make(keys, Scope.ADMIN, Scope.READ)}"}
+    refused = httpx.post(f"{address}{API}/keys", headers=admin, json=body)
+    assert (refused.status_code, refused.json()["errors"][0]["field"]) == (422, field)
+
+
+def test_nobody_hands_out_more_than_they_have(guarded: tuple[str, Keys]) -> None:
+    address, keys = guarded
+    admin = {"Authorization": f"Bearer {make(keys, Scope.ADMIN)}"}
+    other = keys.find(make(keys, Scope.MATCH))
+    for path, body in (("", {"name": "x", "scopes": ["admin", "match"]}), (f"/{other.id}/rotate", {})):
+        refused = httpx.post(f"{address}{API}/keys{path}", headers=admin, json=body)
+        assert refused.status_code == 403
+        assert refused.json()["detail"].startswith("scopes: match: ")
+    assert httpx.post(f"{address}{API}/keys/{other.id}/revoke", headers=admin).status_code == 200
 
 
 def test_a_browser_signs_in_and_out(guarded: tuple[str, Keys]) -> None:
@@ -225,6 +376,13 @@ def test_keys_by_the_command(tmp_path: Path) -> None:
     listed = json.loads(invoke("keys", "list", "--json", *data).stdout)
     assert [(key["name"], key["scopes"], key["state"]) for key in listed] == [("historian", ["read"], "valid")]
     assert token.split("_", 2)[2] not in json.dumps(listed)
+    assert listed[0]["used_at"] is None
+    assert "never" in invoke("keys", "list", *data).stdout
+    renewed = invoke("keys", "rotate", listed[0]["id"], "--grace-hours", "2", *data)
+    assert renewed.stdout.strip() != token and renewed.stdout.startswith(f"jp_{listed[0]['id']}_")
+    assert "the secret before it until" in renewed.stderr
+    also = json.loads(invoke("keys", "rotate", listed[0]["id"], "--grace-hours", "0", "--json", *data).stdout)
+    assert also["key"].startswith(f"jp_{listed[0]['id']}_") and also["former_until"] <= now().isoformat()
     assert invoke("keys", "revoke", listed[0]["id"], *data).stdout == ""
     assert "revoked" in invoke("keys", "list", *data).stdout
     refused = invoke("keys", "revoke", "nobody", *data)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ipaddress
 import json
 import re
 import shlex
@@ -20,6 +21,7 @@ from jointplay.app.settings import SECRETS, ServiceSettings
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "docker"
 OURS = ("api", "scheduler", "worker")
+OTHERS = ("proxy", "prometheus", "grafana")
 
 
 def stages() -> dict[str, tuple[str, list[tuple[str, str]]]]:
@@ -81,13 +83,13 @@ def test_variables_of_images_and_services_are_settings(compose: dict[str, Any]) 
 
 
 def test_every_service_is_watched_and_ours_have_no_rights(compose: dict[str, Any]) -> None:
-    assert set(compose["services"]) == {*OURS, "database"}
+    assert set(compose["services"]) == {*OURS, *OTHERS, "database"}
     for name, service in compose["services"].items():
         assert service["healthcheck"]["test"][0] == "CMD", name
-        assert set(service.get("volumes", [])) <= {
-            f"{volume}:{place}" for volume in compose["volumes"] for place in ("/data", "/var/lib/postgresql/data")
-        }
-    for name in OURS:
+        for volume in service.get("volumes", []):
+            source, _, place = volume.partition(":")
+            assert source in compose["volumes"] or ((FOLDER / source).is_dir() and place.endswith(":ro")), volume
+    for name in (*OURS, *OTHERS):
         service = compose["services"][name]
         assert service["read_only"] is True
         assert service["cap_drop"] == ["ALL"]
@@ -100,15 +102,35 @@ def test_every_service_is_watched_and_ours_have_no_rights(compose: dict[str, Any
     assert compose["services"]["worker"]["image"] == compose["services"]["scheduler"]["image"]
 
 
+def test_nothing_takes_all_of_the_computer(compose: dict[str, Any]) -> None:
+    for name, service in compose["services"].items():
+        assert {"mem_limit", "cpus", "pids_limit"} <= set(service), name
+        assert set(service["logging"]["options"]) == {"max-size", "max-file"}, name
+
+
+def test_the_proxy_alone_is_reached_from_outside_and_believed(compose: dict[str, Any]) -> None:
+    services = compose["services"]
+    outside = {name: service["ports"] for name, service in services.items() if "ports" in service}
+    assert outside == {"proxy": ["80:80", "443:443"], "grafana": ["127.0.0.1:3000:3000"]}
+    address = services["proxy"]["networks"]["front"]["ipv4_address"]
+    assert services["api"]["environment"]["JOINTPLAY_PROXIES"] == address
+    (own,) = compose["networks"]["front"]["ipam"]["config"]
+    assert ipaddress.ip_address(address) in ipaddress.ip_network(own["subnet"])
+    assert compose["networks"]["back"] == {"internal": True}
+    assert {name for name, each in services.items() if "front" in each["networks"]} == {"proxy", "api", "grafana"}
+    assert services["proxy"]["environment"]["JOINTPLAY_SITE"] in services["api"]["environment"]["JOINTPLAY_HOSTS"]
+
+
 def test_secrets_are_files_and_nothing_else_is_one(compose: dict[str, Any]) -> None:
     given = {name for service in compose["services"].values() for name in service.get("secrets", [])}
     assert given == set(compose["secrets"])
     assert all(set(secret) == {"file"} for secret in compose["secrets"].values())
     text = (FOLDER / "compose.yaml").read_text(encoding="utf-8")
-    assert re.findall(r"\w*PASSWORD\w*", text) == ["POSTGRES_PASSWORD_FILE"]
+    named = re.findall(r"\w*PASSWORD\w*", text)
+    assert named == ["POSTGRES_PASSWORD_FILE", "GF_SECURITY_ADMIN_PASSWORD__FILE"]
     assert "jointplay_database" in given
     ignored = (ROOT / ".gitignore").read_text(encoding="utf-8").splitlines()
-    assert "docker/secrets/" in ignored
+    assert {"docker/secrets/", "docker/proxy/users"} <= set(ignored)
 
 
 def test_services_name_each_other_by_the_ports_they_have(compose: dict[str, Any]) -> None:

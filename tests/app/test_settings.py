@@ -43,7 +43,8 @@ def test_every_setting_has_a_default_and_says_what_it_is() -> None:
 @pytest.mark.parametrize("name", sorted(ServiceSettings.model_fields))
 def test_every_setting_comes_from_the_environment(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     field = ServiceSettings.model_fields[name]
-    other = {"keys": "off", "log_format": "json", "log_level": "error", "webhooks_private": "true"}.get(name, "7")
+    given = {"keys": "off", "log_format": "json", "log_level": "error", "webhooks_private": "true", "proxies": "::1"}
+    other = given.get(name, "7")
     monkeypatch.setenv(f"JOINTPLAY_{name.upper()}", other)
     assert shown(getattr(ServiceSettings(), name)) == other != shown(field.default)
 
