@@ -24,7 +24,8 @@ from jointplay.app.jobs.build_runner import BuildRunner
 from jointplay.app.jobs.samples import StoredRecording
 from jointplay.app.jobs.workers import TaskFailedError, WorkerPool
 from jointplay.app.metrics import Metrics
-from jointplay.app.schemas.resources import BuildRequest, DiagnosisRequest
+from jointplay.app.schemas.builds import BuildRequest
+from jointplay.app.schemas.resources import DiagnosisRequest
 from jointplay.app.schemas.virtual import VirtualRequest
 from jointplay.app.settings import ServiceSettings
 from jointplay.app.shelves import built_in
@@ -331,9 +332,12 @@ class Service:
         offer = self.shelf.find(request.catalogue)
         asset = self.asset_of(request.asset, offer.machine.name)
         baselines = () if asset is None else self.baselines_of(asset, request.measurement)
+        limits_um = {} if asset is None else asset.limits_um
         mapping, prior = dict(request.mapping), request.prior.model_dump()
         place = (str(offer.path), offer.stamp)
-        question = tasks.DiagnosisTask(*place, speed, request.effort, request.mode, mapping, prior, baselines)
+        question = tasks.DiagnosisTask(
+            *place, speed, request.effort, request.mode, mapping, prior, baselines, limits_um
+        )
         return Asked(offer, asset, question)
 
     def new_diagnosis(

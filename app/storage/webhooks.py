@@ -19,7 +19,7 @@ from sqlalchemy import JSON, ForeignKey, String, Text, delete, select, update
 from sqlalchemy.orm import Mapped, Session, mapped_column
 
 from jointplay.app.errors import UnknownWebhookError
-from jointplay.app.schemas.resources import Event
+from jointplay.app.schemas.webhooks import Event
 from jointplay.app.storage import idempotency
 from jointplay.app.storage.database import ServiceDatabase, is_id
 from jointplay.app.storage.rows import Base, newest, now
