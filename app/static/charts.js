@@ -2,28 +2,49 @@
 // A kind of chart says what is drawn in a place: { x, y, at, lines, bands, paint, group, file, refine, value }.
 "use strict";
 
-window.jointplay = window.jointplay || {};
-
 (() => {
+  const { make } = window.jointplay;
   const kinds = [];
   const drawn = new Map();
   const READ_OUT = 80;
 
   const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
-  const isPlain = (value) => (value == null ? "–" : Number(value.toPrecision(4)).toString());
+  const plain = (value) => (value == null ? "–" : tick(value, 4));
 
-  // What a figure paints over its lines, on a canvas or into a file: the same strokes.
-  const onCanvas = (chart) => ({
-    pen: chart.ctx,
-    scale: window.devicePixelRatio || 1,
-    x: (value) => chart.valToPos(value, "x", true),
-    y: (value) => chart.valToPos(value, "y", true),
-  });
+  // What figures paint with over their lines, in CSS pixels: on a canvas here, into a file by chart-files.js.
+  const paint = (figure, chart) => {
+    const { ctx: pen, bbox } = chart;
+    const scale = window.devicePixelRatio || 1;
+    const font = getComputedStyle(document.body).fontFamily;
+    const at = (axis) => (value) => chart.valToPos(value, axis, true) / scale;
+    pen.save();
+    pen.beginPath();
+    pen.rect(bbox.left, bbox.top, bbox.width, bbox.height);
+    pen.clip();
+    pen.scale(scale, scale);
+    pen.imageSmoothingEnabled = false;
+    figure.paint({
+      x: at("x"),
+      y: at("y"),
+      line: (points, stroke, width = 1, dash = []) => {
+        Object.assign(pen, { strokeStyle: stroke, lineWidth: width }).setLineDash(dash);
+        pen.beginPath();
+        for (const point of points) pen.lineTo(...point);
+        pen.stroke();
+      },
+      text: (said, left, top, fill, anchor = "start", size = "12px") => {
+        Object.assign(pen, { fillStyle: fill, textAlign: anchor, textBaseline: "alphabetic", font: `${size} ${font}` }).fillText(said, left, top);
+      },
+      image: (...picture) => pen.drawImage(...picture),
+    }, chart, figure);
+    pen.restore();
+  };
+  const tick = (value, digits) => (value == null ? "" : String(Number(value.toPrecision(digits))));
 
   const options = (entry, width) => {
     const { figure } = entry;
     const axis = { stroke: colour("--soft"), grid: { stroke: colour("--grid"), width: 1 }, ticks: { stroke: colour("--line"), width: 1 } };
-    const value = figure.value || isPlain;
+    const value = figure.value || plain;
     const inGroup = figure.group ? { key: figure.group, scales: ["x", null], filters: { pub: (kind) => kind === "mousemove" || kind === "mouseleave" } } : undefined;
     return {
       width,
@@ -35,18 +56,18 @@ window.jointplay = window.jointplay || {};
         y: { ...(figure.y.log ? { distr: 3, log: 10 } : {}), ...(figure.y.range ? { range: figure.y.range } : {}) },
       },
       axes: [
-        { ...axis, size: figure.x.time ? 50 : 36, labelSize: 22, label: figure.x.label, ...(figure.x.space ? { space: figure.x.space } : {}), values: figure.x.values || ((self, ticks) => ticks.map((tick) => (tick == null ? "" : String(Number(tick.toPrecision(8)))))) },
-        { ...axis, label: figure.y.label, size: width > 480 ? 60 : 46, labelSize: 22, ...(figure.y.log ? { values: (self, ticks) => ticks.map((tick) => (tick == null ? "" : tick < 1e-3 ? tick.toExponential(0) : String(Number(tick.toPrecision(2))))) } : {}) },
+        { ...axis, size: figure.x.time ? 50 : 36, labelSize: 22, label: figure.x.label, ...(figure.x.space ? { space: figure.x.space } : {}), values: figure.x.values || ((self, ticks) => ticks.map((value) => tick(value, 8))) },
+        { ...axis, label: figure.y.label, size: width > 480 ? 60 : 46, labelSize: 22, ...(figure.y.log ? { values: (self, ticks) => ticks.map((value) => (value && value < 1e-3 ? value.toExponential(0) : tick(value, 2))) } : {}) },
       ],
       series: [
-        { label: figure.x.name, value: figure.x.value || ((self, at) => isPlain(at)) },
+        { label: figure.x.name, value: figure.x.value || ((self, at) => plain(at)) },
         ...figure.lines.map((line) => ({ width: 1.5, points: { show: false }, ...line.style, class: line.silent ? "silent" : undefined, label: line.name, value: (self, each) => value(each, line) })),
       ],
       bands: figure.bands,
       cursor: { sync: inGroup, drag: { x: true, y: false, setScale: true }, bind: { dblclick: () => () => { reset(entry); } } },
       legend: { show: true },
       hooks: {
-        draw: [(chart) => figure.paint?.(onCanvas(chart), chart, figure)],
+        draw: [(chart) => figure.paint && paint(figure, chart)],
         setScale: [(chart, key) => key === "x" && moved(entry)],
       },
     };
@@ -173,33 +194,20 @@ window.jointplay = window.jointplay || {};
     for (const kind of ["pointerup", "pointercancel"]) over.addEventListener(kind, lifted);
   };
 
+  const TOOLS = [
+    ["+", "Zoom in", (now) => zoom(now, 0.5)],
+    ["−", "Zoom out", (now) => zoom(now, 2)],
+    ["◀", "Back", (now) => pan(now, -0.5)],
+    ["▶", "Forth", (now) => pan(now, 0.5)],
+    ["All", "All of the axis", reset],
+    ...["PNG", "SVG", "CSV"].map((kind) => [kind, `Download as ${kind}`, (now) => window.jointplay.saveChart(now, kind.toLowerCase())]),
+  ];
   const tools = (entry) => {
-    const bar = document.createElement("div");
-    bar.className = "chart-tools";
-    const title = entry.figure.title || "chart";
-    const button = (text, label, act) => {
-      const made = document.createElement("button");
-      made.type = "button";
-      made.className = "second";
-      made.textContent = text;
-      made.setAttribute("aria-label", `${label}: ${title}`);
-      made.title = label;
-      made.addEventListener("click", () => act(drawn.get(entry.place)));
-      bar.append(made);
-    };
-    button("+", "Zoom in", (now) => zoom(now, 0.5));
-    button("−", "Zoom out", (now) => zoom(now, 2));
-    button("◀", "Back", (now) => pan(now, -0.5));
-    button("▶", "Forth", (now) => pan(now, 0.5));
-    button("All", "All of the axis", reset);
-    for (const kind of ["png", "svg", "csv"]) {
-      button(kind.toUpperCase(), `Download as ${kind.toUpperCase()}`, (now) => window.jointplay.saveChart(now, kind));
-    }
-    entry.said = document.createElement("span");
-    entry.said.className = "unseen";
-    entry.said.setAttribute("role", "status");
-    bar.append(entry.said);
-    return bar;
+    entry.said = make("span", { className: "unseen", role: "status" });
+    const buttons = TOOLS.map(([text, title, act]) => make("button", {
+      type: "button", className: "second", title, "aria-label": `${title}: ${entry.figure.title || "chart"}`, onclick: () => act(drawn.get(entry.place)),
+    }, text));
+    return make("div", { className: "chart-tools" }, ...buttons, entry.said);
   };
 
   const draw = (place, figure) => {
@@ -251,6 +259,7 @@ window.jointplay = window.jointplay || {};
     colour,
     drawChart: draw,
     shade: (share) => shade(share),
+    plain,
     chartAt: (place) => drawn.get(place),
     // Charts of a kind are drawn anew when they come, and when the screen's width or colours change.
     addChartKind: (selector, figureOf) => kinds.push([selector, figureOf]),

@@ -7,16 +7,7 @@
   const { colour } = window.jointplay;
 
   // One column of times for all joints; a joint has no value at the times of others.
-  const table = (data) => {
-    const times = new Set(data.events.map((event) => event.at));
-    for (const joint of data.joints) for (const point of joint.points) times.add(point.at);
-    const sorted = [...times].sort((a, b) => a - b);
-    const columns = data.joints.map((joint) => {
-      const values = new Map(joint.points.map((point) => [point.at, point.um]));
-      return sorted.map((time) => values.get(time) ?? null);
-    });
-    return [sorted, ...columns];
-  };
+  const table = (data) => uPlot.join([[data.events.map((event) => event.at)], ...data.joints.map(({ points }) => [points.map((point) => point.at), points.map((point) => point.um)])]);
 
   const largest = (data) => Math.max(1, ...data.joints.flatMap((joint) => joint.points.map((point) => point.high)),
     ...data.events.map((event) => event.um ?? 0), ...(data.limits ?? []).map((limit) => limit.um));
@@ -32,69 +23,36 @@
   };
 
   // Limits as lines; on them, when each is reached: bars from early to late, and the way there from the last recording.
-  const limits = (data, [begin, end], { pen: ctx, scale, x: across, y: up }) => {
-    const line = (look, dash, points) => {
-      ctx.strokeStyle = colour(look);
-      ctx.setLineDash(dash.map((length) => length * scale));
-      ctx.beginPath();
-      points.forEach(([x, y], index) => (index ? ctx.lineTo(x, y) : ctx.moveTo(x, y)));
-      ctx.stroke();
-      ctx.setLineDash([]);
-    };
-    ctx.font = `${12 * scale}px ${getComputedStyle(document.body).fontFamily}`;
-    ctx.textAlign = "left";
-    ctx.textBaseline = "bottom";
-    ctx.fillStyle = colour("--bad");
-    ctx.lineWidth = 2 * scale;
+  const limits = (data, [begin, end], { line, text, x, y }) => {
     for (const { name, look, um, at } of data.reached ?? []) {
-      const points = data.joints.find((joint) => joint.name === name).points;
-      const last = points[points.length - 1];
-      const place = (time) => across(Math.min(end, time ?? end));
-      if (at[1] != null && at[1] <= end) line(`--joint-${look}`, [2, 4], [[across(last.at), up(last.um)], [place(at[1]), up(um)]]);
-      ctx.lineWidth = 6 * scale;
-      line(`--joint-${look}`, [], [[place(at[0]), up(um)], [place(at[2]), up(um)]]);
-      ctx.lineWidth = 2 * scale;
+      const last = data.joints.find((joint) => joint.name === name).points.at(-1);
+      const place = (time) => [x(Math.min(end, time ?? end)), y(um)];
+      if (at[1] != null && at[1] <= end) line([[x(last.at), y(last.um)], place(at[1])], colour(`--joint-${look}`), 2, [2, 4]);
+      line([place(at[0]), place(at[2])], colour(`--joint-${look}`), 6);
     }
     for (const limit of data.limits ?? []) {
-      line("--bad", [6, 4], [[across(begin), up(limit.um)], [across(end), up(limit.um)]]);
-      ctx.fillText(limit.text, across(begin) + 6 * scale, up(limit.um) - 3 * scale);
+      line([[x(begin), y(limit.um)], [x(end), y(limit.um)]], colour("--bad"), 2, [6, 4]);
+      text(limit.text, x(begin) + 6, y(limit.um) - 5, colour("--bad"));
     }
   };
 
   // Intervals as bars; marks stand at their clearance, those without one at the bottom.
-  const marks = (data, ends) => (strokes) => {
-    const { pen: ctx, scale, x: across, y: up } = strokes;
-    ctx.save();
-    limits(data, ends, strokes);
-    ctx.restore();
-    ctx.save();
+  const marks = (data, ends) => (brush) => {
+    limits(data, ends, brush);
+    const { line, text, x, y } = brush;
     for (const joint of data.joints) {
-      ctx.strokeStyle = colour(`--joint-${joint.look}`);
-      ctx.lineWidth = 2 * scale;
       for (const point of joint.points) {
-        const x = across(point.at);
-        const ends = [point.low, point.high].map(up);
-        ctx.beginPath();
-        ctx.moveTo(x, ends[0]);
-        ctx.lineTo(x, ends[1]);
-        for (const end of ends) {
-          ctx.moveTo(x - 4 * scale, end);
-          ctx.lineTo(x + 4 * scale, end);
-        }
-        ctx.stroke();
+        const [at, low, high] = [x(point.at), y(point.low), y(point.high)];
+        const cap = (side) => [[at - 4, side], [at + 4, side]];
+        for (const each of [[[at, low], [at, high]], cap(low), cap(high)]) line(each, colour(`--joint-${joint.look}`), 2);
       }
     }
-    ctx.font = `700 ${17 * scale}px ${getComputedStyle(document.body).fontFamily}`;
-    ctx.textAlign = "center";
-    ctx.textBaseline = "middle";
     for (const event of data.events) {
-      const y = up(event.um ?? 0) - (event.um == null ? 9 * scale : 0);
-      ctx.fillStyle = colour(`--mark-${event.kind.replace("_", "-")}`);
-      const x = across(event.at);
-      ctx.fillText(SYMBOLS[event.kind], x, y);
-      if (event.joint) ctx.fillText(event.joint, x + 15 * scale, y);
+      const [at, top] = [x(event.at), y(event.um ?? 0) + (event.um == null ? -3 : 6)];
+      const fill = colour(`--mark-${event.kind.replace("_", "-")}`);
+      text(SYMBOLS[event.kind], at, top, fill, "center", "700 17px");
+      if (event.joint) text(event.joint, at + 15, top, fill, "center", "700 17px");
     }
-    ctx.restore();
   };
 
   const day = uPlot.fmtDate("{YYYY}-{MM}-{DD}");
