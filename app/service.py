@@ -129,7 +129,7 @@ class Service:
             wanted.revolutions,
             wanted.seed,
         )
-        content, name, summary = await self.pool.run(virtual.make_recording, task)
+        content, name, summary = await self.pool.run(virtual.make_recording, task, times=virtual.LIMITS)
         upload = await run_in_threadpool(self.store.receive, io.BytesIO(content))
         try:
             return await run_in_threadpool(self.store.add_measurement, upload, name, None, summary)

@@ -45,6 +45,7 @@ def signal_view(service: Service, key: str) -> dict[str, Any]:
         "name": row.name,
         "is_recording": row.summary.get("kind") != "spectrum",
         "facts": facts_of(row),
+        "moment": f"{row.measured_at:%Y-%m-%dT%H:%M:%SZ}",
         "channels": [channel["name"] for channel in row.summary["channels"]],
         "warnings": row.summary["warnings"],
         "assets": assets,

@@ -2,7 +2,8 @@
 "use strict";
 
 (() => {
-  const { colour, escaped, make } = window.jointplay;
+  const { colour, make } = window.jointplay;
+  const escaped = (text) => String(text).replace(/[&<>"]/g, (sign) => `&#${sign.charCodeAt(0)};`);
   const HEAD = 40;
 
   const csv = ({ figure }) => {
@@ -102,10 +103,8 @@
     return new Blob([`<svg xmlns="${about}" viewBox="0 -${HEAD} ${wide} ${tall}" width="${wide}" height="${tall}"><rect y="-${HEAD}" width="${wide}" height="${tall}" fill="${colour("--card")}"/>`, ...out, "</svg>"], { type: "image/svg+xml" });
   };
 
-  const MAKERS = { csv, png, svg };
-
   window.jointplay.saveChart = async (entry, kind) => {
-    const href = URL.createObjectURL(await MAKERS[kind](entry));
+    const href = URL.createObjectURL(await { csv, png, svg }[kind](entry));
     const name = entry.figure.file || (entry.figure.title || "chart").trim().toLowerCase().replace(/[^a-z0-9]+/g, "-");
     make("a", { href, download: `${name}.${kind}` }).click();
     setTimeout(() => URL.revokeObjectURL(href), 10000);

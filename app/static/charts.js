@@ -7,6 +7,7 @@
   const kinds = [];
   const drawn = new Map();
   const READ_OUT = 80;
+  const LOG = { distr: 3, log: 10 };
 
   const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
   const plain = (value) => (value == null ? "–" : tick(value, 4));
@@ -52,11 +53,11 @@
       tzDate: figure.x.tzDate,
       // A range that were fixed would forbid every zoom.
       scales: {
-        x: { time: Boolean(figure.x.time), ...(figure.x.log ? { distr: 3, log: 10 } : {}), range: (self, low, high) => (entry.whole && low <= entry.ends[0] && high >= entry.ends[1] ? entry.whole : [low, high]) },
-        y: { ...(figure.y.log ? { distr: 3, log: 10 } : {}), ...(figure.y.range ? { range: figure.y.range } : {}) },
+        x: { time: Boolean(figure.x.time), ...(figure.x.log && LOG), range: (self, low, high) => (entry.whole && low <= entry.ends[0] && high >= entry.ends[1] ? entry.whole : [low, high]) },
+        y: { ...(figure.y.log && LOG), ...(figure.y.range && { range: figure.y.range }) },
       },
       axes: [
-        { ...axis, size: figure.x.time ? 50 : 36, labelSize: 22, label: figure.x.label, ...(figure.x.space ? { space: figure.x.space } : {}), values: figure.x.values || ((self, ticks) => ticks.map((value) => tick(value, 8))) },
+        { ...axis, size: figure.x.time ? 50 : 36, labelSize: 22, label: figure.x.label, ...(figure.x.space && { space: figure.x.space }), values: figure.x.values || ((self, ticks) => ticks.map((value) => tick(value, 8))) },
         { ...axis, label: figure.y.label, size: width > 480 ? 60 : 46, labelSize: 22, ...(figure.y.log ? { values: (self, ticks) => ticks.map((value) => (value && value < 1e-3 ? value.toExponential(0) : tick(value, 2))) } : {}) },
       ],
       series: [
@@ -83,13 +84,13 @@
   // The part of the axis that is shown, never beyond its ends.
   const show = (entry, low, high) => {
     const [first, last] = entry.whole;
-    const log = entry.figure.x.log;
-    const width = Math.min(log ? Math.log(high / low) : high - low, log ? Math.log(last / first) : last - first);
-    const from = Math.max(first, Math.min(low, log ? last * Math.exp(-width) : last - width));
-    entry.chart.setScale("x", { min: from, max: Math.min(last, log ? from * Math.exp(width) : from + width) });
+    const [to, back] = entry.figure.x.log ? [Math.log, Math.exp] : [Number, Number];
+    const width = Math.min(to(high) - to(low), to(last) - to(first));
+    const from = Math.max(to(first), Math.min(to(low), to(last) - width));
+    entry.chart.setScale("x", { min: Math.max(first, back(from)), max: Math.min(last, back(from + width)) });
   };
   const reset = (entry) => entry.chart.setScale("x", { min: entry.whole[0], max: entry.whole[1] });
-  const zoom = (entry, factor, middle = 0.5) => show(entry, along(entry, middle - middle * factor), along(entry, middle + (1 - middle) * factor));
+  const zoom = (entry, factor) => show(entry, along(entry, 0.5 - 0.5 * factor), along(entry, 0.5 + 0.5 * factor));
   const pan = (entry, part) => show(entry, along(entry, part), along(entry, 1 + part));
 
   // After a zoom, charts of the same group follow, and finer points are asked for where there are any.
@@ -195,10 +196,10 @@
   };
 
   const TOOLS = [
-    ["+", "Zoom in", (now) => zoom(now, 0.5)],
-    ["−", "Zoom out", (now) => zoom(now, 2)],
-    ["◀", "Back", (now) => pan(now, -0.5)],
-    ["▶", "Forth", (now) => pan(now, 0.5)],
+    ["+", "Zoom in", KEYS["+"]],
+    ["−", "Zoom out", KEYS["-"]],
+    ["◀", "Back", KEYS["<"]],
+    ["▶", "Forth", KEYS[">"]],
     ["All", "All of the axis", reset],
     ...["PNG", "SVG", "CSV"].map((kind) => [kind, `Download as ${kind}`, (now) => window.jointplay.saveChart(now, kind.toLowerCase())]),
   ];
@@ -259,7 +260,6 @@
     colour,
     drawChart: draw,
     shade: (share) => shade(share),
-    plain,
     chartAt: (place) => drawn.get(place),
     // Charts of a kind are drawn anew when they come, and when the screen's width or colours change.
     addChartKind: (selector, figureOf) => kinds.push([selector, figureOf]),

@@ -9,36 +9,24 @@
   // One column of times for all joints; a joint has no value at the times of others.
   const table = (data) => uPlot.join([[data.events.map((event) => event.at)], ...data.joints.map(({ points }) => [points.map((point) => point.at), points.map((point) => point.um)])]);
 
-  const largest = (data) => Math.max(1, ...data.joints.flatMap((joint) => joint.points.map((point) => point.high)),
-    ...data.events.map((event) => event.um ?? 0), ...(data.limits ?? []).map((limit) => limit.um));
-
-  // As far ahead as a limit is foretold, but no further than the past reaches back.
-  const range = (times, data) => {
-    const first = times[0];
-    const now = times[times.length - 1];
-    const ahead = Math.max(now - first, 60 * 86400);
-    const last = Math.min(now + ahead, Math.max(now, ...(data.reached ?? []).map(({ at }) => at[2] ?? now + ahead)));
-    const margin = Math.max(0.05 * (last - first), 1800);
-    return [first - margin, last + margin];
-  };
-
   // Limits as lines; on them, when each is reached: bars from early to late, and the way there from the last recording.
-  const limits = (data, [begin, end], { line, text, x, y }) => {
-    for (const { name, look, um, at } of data.reached ?? []) {
+  const limits = (data, { line, text, x, y }) => {
+    const [begin, end] = data.ends;
+    for (const { name, look, um, at } of data.reached) {
       const last = data.joints.find((joint) => joint.name === name).points.at(-1);
       const place = (time) => [x(Math.min(end, time ?? end)), y(um)];
       if (at[1] != null && at[1] <= end) line([[x(last.at), y(last.um)], place(at[1])], colour(`--joint-${look}`), 2, [2, 4]);
       line([place(at[0]), place(at[2])], colour(`--joint-${look}`), 6);
     }
-    for (const limit of data.limits ?? []) {
+    for (const limit of data.limits) {
       line([[x(begin), y(limit.um)], [x(end), y(limit.um)]], colour("--bad"), 2, [6, 4]);
       text(limit.text, x(begin) + 6, y(limit.um) - 5, colour("--bad"));
     }
   };
 
   // Intervals as bars; marks stand at their clearance, those without one at the bottom.
-  const marks = (data, ends) => (brush) => {
-    limits(data, ends, brush);
+  const marks = (data) => (brush) => {
+    limits(data, brush);
     const { line, text, x, y } = brush;
     for (const joint of data.joints) {
       for (const point of joint.points) {
@@ -55,37 +43,32 @@
     }
   };
 
-  const day = uPlot.fmtDate("{YYYY}-{MM}-{DD}");
-  const clock = uPlot.fmtDate("{HH}:{mm}");
   const local = (time) => new Date(time * 1000);
-
   // Hours where a step is less than a day, with the date where it begins or changes.
-  const dates = (self, ticks, axis, space, step) => ticks.map((tick, index) => {
-    const date = day(local(tick));
-    if (step >= 86400) return `${date.slice(5)}\n${date.slice(0, 4)}`;
-    return index && date === day(local(ticks[index - 1])) ? clock(local(tick)) : `${clock(local(tick))}\n${date}`;
-  });
+  const NONE = [null, null, null];
+  const DATES = [
+    [86400, "{MM}-{DD}\n{YYYY}", ...NONE, ...NONE, 1],
+    [1, "{HH}:{mm}", ...Array(3).fill("\n{YYYY}-{MM}-{DD}"), ...NONE, 1],
+  ];
 
   window.jointplay.addChartKind("[data-history]", (place) => {
     const data = JSON.parse(place.dataset.history);
     const [times, ...columns] = table(data);
-    const top = 1.1 * largest(data);
-    const ends = range(times, data);
     return {
       title: place.closest("section")?.querySelector("h2")?.textContent,
       height: Math.max(240, Math.min(340, place.clientWidth * 0.4)),
       x: {
-        name: "time", label: "time", time: true, tzDate: local, values: dates, value: "{YYYY}-{MM}-{DD} {HH}:{mm}",
-        space: place.clientWidth > 480 ? 70 : 50, range: ends,
+        name: "time", label: "time", time: true, tzDate: local, values: DATES, value: "{YYYY}-{MM}-{DD} {HH}:{mm}",
+        space: place.clientWidth > 480 ? 70 : 50, range: data.ends,
       },
-      y: { label: data.label, range: [0, top] },
+      y: { label: data.label, range: [0, data.top] },
       value: (value) => (value == null ? "–" : `${value.toFixed(0)} µm`),
       at: times,
       lines: data.joints.map((joint, index) => ({
         name: `joint ${joint.name}`, unit: "µm", values: columns[index],
         style: { stroke: colour(`--joint-${joint.look}`), width: 2, spanGaps: true, dash: joint.look % 2 ? [6, 4] : undefined, points: { show: true, size: 8 } },
       })),
-      paint: marks(data, ends),
+      paint: marks(data),
     };
   });
 })();

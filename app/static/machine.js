@@ -42,7 +42,6 @@
     text().value = await event.target.files[0].text();
     text().dispatchEvent(new Event("input", { bubbles: true }));
   });
-  document.addEventListener("DOMContentLoaded", number);
   document.addEventListener("htmx:after:swap", number);
   window.addEventListener("pageshow", number);
 })();

@@ -4,7 +4,6 @@
 
 (() => {
   const byId = (id) => document.getElementById(id);
-  const escaped = (text) => String(text).replace(/[&<>"]/g, (sign) => `&#${sign.charCodeAt(0)};`);
 
   // An element with its properties and attributes, and what is in it.
   const make = (name, given = {}, ...inside) => {
@@ -42,7 +41,7 @@
     window.location.assign(`/sign-in?next=${encodeURIComponent(`${place}?${new URLSearchParams(fields)}`)}`);
   };
 
-  window.jointplay = { byId, escaped, make, addRow, mark, noAnswer, signIn };
+  window.jointplay = { byId, make, addRow, mark, noAnswer, signIn };
 
   document.addEventListener("htmx:before:response", (event) => {
     const form = byId("confirm");

@@ -2,9 +2,9 @@
 "use strict";
 
 (() => {
-  const { colour, shade, plain, drawChart, chartAt, addChartKind, addRow, byId } = window.jointplay;
+  const { colour, shade, drawChart, chartAt, addChartKind, byId } = window.jointplay;
   const figures = new Map();
-  const VIEWS = ["overall", "spectrum", "waveform", "revolution", "spectrogram"];
+  const VIEWS = ["spectrum", "waveform", "revolution", "spectrogram"];
   const DECIBELS = 20;
   let round = 0;
 
@@ -18,7 +18,7 @@
   const address = (key, view, look, more = {}) => {
     const asked = { view, unit: look.unit, of: look.of, ...more };
     if (look.channel) asked.channel = look.channel;
-    if (view === "spectrum" || view === "spectrogram") asked.axis = look.axis;
+    if (["spectrum", "spectrogram", "matched"].includes(view)) asked.axis = look.axis;
     if (look.diagnosis) asked.diagnosis = look.diagnosis;
     if (look.speed) asked.speed = look.speed;
     return `/api/v1/measurements/${encodeURIComponent(key)}/signal?${new URLSearchParams(asked)}`;
@@ -68,20 +68,31 @@
     if (look.levels === "lin") return values;
     return values.map((value) => (value > 0 ? (look.levels === "db" ? DECIBELS * Math.log10(value) : value) : null));
   };
+  // What is laid over a spectrum: another recording, or machines of the catalogue, each in its own look.
+  const LAID = {
+    other: { dash: [4, 4], width: 1 },
+    first: { colour: "--matched", dash: [6, 4], width: 2 },
+    second: { colour: "--rival", dash: [2, 3], width: 2 },
+    in_order: { colour: "--good", dash: [8, 3, 2, 3] },
+  };
   const spectra = (answers, look) => {
-    const tables = answers.map((found) => [found.at, ...found.lines.map((line) => scaled(line.values, look))]);
-    const [at, ...values] = tables.length > 1 ? uPlot.join(tables) : tables[0];
-    const lines = answers.flatMap((found, which) => found.lines.map((line, index) => ({
-      name: `${named(line, found.lines)}${which ? ", the other" : ""}`, unit: look.levels === "db" ? `dB re 1 ${line.unit}` : line.unit,
-      style: { stroke: tone(index), width: which ? 1 : 1.5, dash: which ? [4, 4] : undefined, spanGaps: true },
-    })));
+    const [at, ...values] = uPlot.join(answers.map((found) => [found.at, ...found.lines.map((line) => scaled(line.values, look))]));
+    const lines = answers.flatMap((found, which) => found.lines.map((line, index) => {
+      const laid = line.kind === "value" ? which && "other" : line.kind;
+      const { colour: own, ...style } = LAID[laid] || {};
+      return {
+        name: `${named(line, found.lines)}${laid ? `, ${laid.replace("_", " ")}` : ""}`, unit: look.levels === "db" ? `dB re 1 ${line.unit}` : line.unit,
+        style: { stroke: own ? colour(own) : tone(index), spanGaps: true, ...style },
+      };
+    }));
     return { at, lines: lines.map((line, index) => ({ ...line, values: values[index] })) };
   };
 
-  const spectrum = (found, look, key, other) => {
+  const spectrum = (found, look, key, more) => {
     const unit = pretty(found.lines[0].unit);
+    const [other, laid] = more;
     return {
-      ...spectra(other ? [found, other] : [found], look),
+      ...spectra([found, other, laid].filter(Boolean), look),
       x: { name: found.axis, label: axisOf(found), first: found.axis === "order" && found.ends[1] > 60 ? [found.ends[0], 60] : null },
       y: { label: look.levels === "db" ? `dB re 1 ${unit}` : unit, log: look.levels === "log" },
       harmonic: look.harmonics === "drive" && found.drive_speed_rpm ? (found.axis === "order" ? 1 : found.drive_speed_rpm / 60) : null,
@@ -89,7 +100,8 @@
       refine: async (from, to, signal) => {
         const asked = { from: Math.max(0, from), to, points: points("spectrum") };
         const places = [address(key, "spectrum", look, asked), ...(other ? [address(look.with, "spectrum", beside(look), asked)] : [])];
-        return spectra(await Promise.all(places.map((each) => fetched(each, signal))), look);
+        const answers = await Promise.all(places.map((each) => fetched(each, signal)));
+        return spectra([...answers, ...(laid ? [laid] : [])], look);
       },
     };
   };
@@ -185,20 +197,8 @@
     };
   };
 
-  const overall = (found) => {
-    const table = byId("overall");
-    table.replaceChildren();
-    addRow(table.createTHead(), "col", ["Channel", "Rms", "Peak", `Velocity, rms, ${found.band_hz.map(plain).join(" to ")} Hz`]);
-    const body = table.createTBody();
-    for (const { name, unit, rms, peak, velocity_rms: velocity } of found.overall) {
-      const says = [rms, peak].map((level) => `${plain(level)} ${pretty(unit)}`);
-      addRow(body, "row", [name, ...says, velocity == null ? "–" : `${plain(velocity)} ${unit.includes("rad") ? "mrad/s" : "mm/s"}`]);
-    }
-  };
-
-  const noted = (view, found) => {
-    const integrated = found.high_pass_hz ? [`integrated above ${plain(found.high_pass_hz)} Hz`] : [];
-    document.querySelector(`[data-note="${view}"]`).textContent = [...found.notes, ...integrated].map((each) => `${each[0].toUpperCase()}${each.slice(1)}.`).join(" ");
+  const noted = (view, notes) => {
+    document.querySelector(`[data-note="${view}"]`).textContent = notes.map((each) => `${each[0].toUpperCase()}${each.slice(1)}.`).join(" ");
   };
 
   const FIGURES = { waveform, spectrum, revolution, spectrogram, contact };
@@ -215,13 +215,13 @@
   const show = async (view, look, mine) => {
     const key = form().dataset.measurement;
     document.querySelector(`[data-numbers="${view}"]`).href = address(key, view, look);
-    const more = view === "overall" ? {} : { points: view === "waveform" || view === "spectrum" ? points(view) : 1200 };
+    const more = { points: view === "waveform" || view === "spectrum" ? points(view) : 1200 };
     const found = await fetched(address(key, view, look, more));
     const other = view === "spectrum" && look.with ? await fetched(address(look.with, view, beside(look), more)) : null;
+    const laid = view === "spectrum" && look.diagnosis && look.channel ? await fetched(address(key, "matched", look)).catch((error) => ({ at: [], lines: [], notes: [error.message] })) : null;
     if (mine !== round) return;
-    noted(view, found);
-    if (view === "overall") overall(found);
-    else draw(view, FIGURES[view](found, look, key, other));
+    noted(view, [...found.notes, ...(laid?.notes || [])]);
+    draw(view, FIGURES[view](found, look, key, [other, laid]));
     if (view !== "revolution") return;
     const path = look.of === "frame" && !look.channel;
     place("orbit").closest("section").hidden = !path;
@@ -243,7 +243,7 @@
     for (const view of VIEWS) {
       const without = view === "revolution" && !look.speed;
       place(view)?.closest("section").toggleAttribute("hidden", without);
-      if (without) continue;
+      if (without || !place(view)) continue;
       show(view, look, mine).catch((error) => { if (mine === round) byId("look-error").textContent = error.message; });
     }
   };

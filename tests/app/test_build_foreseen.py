@@ -11,7 +11,6 @@ import httpx
 import pytest
 from command_line import assert_refused, invoke
 
-from jointplay.app.commands import build as build_command
 from jointplay.app.commands.progress import ProgressLine
 from jointplay.app.jobs import heartbeat
 from jointplay.app.jobs.build_process import BuildProgress, Telling
@@ -22,6 +21,7 @@ from jointplay.catalogue.building.forecast import Forecast
 from jointplay.catalogue.diagnosing.quality_card import QualityCard
 from jointplay.catalogue.storage.directory import CatalogueDirectory
 from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.machines import machine
 
 QUICK = {"machine": "slider-crank", "plan": "quick", "catalogue": "mine"}
 
@@ -69,7 +69,7 @@ def test_ctrl_c_says_that_the_same_command_goes_on(tmp_path: Path, monkeypatch: 
     def stopped(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(build_command, "_build", stopped)
+    monkeypatch.setattr(machine, "load_machine", stopped)
     result = invoke("build", "slider-crank", "--catalogue", tmp_path / "c")
     assert result.exit_code == 130
     first, *_, last = result.stderr.splitlines()
