@@ -39,7 +39,7 @@ def signal_view(service: Service, key: str) -> dict[str, Any]:
         for other in [*baselines, *sorted(own, key=lambda each: each.measured_at, reverse=True)]:
             role = "baseline, " if other.id in asset.in_order else ""
             if other.id != key and other.summary.get("kind") != "spectrum":
-                others.setdefault(other.id, f"{role}{other.name}, {spell_moment(other.measured_at)}")
+                others.setdefault(other.id, f"{role}{other.name}, {spell_moment(other.measured_at)} UTC")
     return {
         "id": row.id,
         "name": row.name,

@@ -16,7 +16,7 @@ from jointplay.app.figures.pictures import machine_picture
 from jointplay.app.http import paging
 from jointplay.app.http.handlers import note, problem_from, templates
 from jointplay.app.http.validation import validate
-from jointplay.app.pages.history import history
+from jointplay.app.pages.history import history, measured
 from jointplay.app.pages.page_forms import messages_of, number_of, plain_form
 from jointplay.app.pages.standing import STATES, show_standing
 from jointplay.app.pages.wear_state import show_state
@@ -261,7 +261,9 @@ def past(service: Service, external_id: str, cursor: str | None) -> dict[str, An
     baselines = [store.measurement(key) for key in row.in_order]
     recordings += [each for each in baselines if each.id not in {one.id for one in recordings}]
     findings = found.findings(None, SHOWN + 1, only={"asset": external_id})
-    newest = diagnoses[0].answer if diagnoses and cursor is None else None
+    newest = None
+    if diagnoses and cursor is None:
+        newest = max(diagnoses, key=lambda each: (measured(each, measurements), each.number)).answer
     machine = service.machine_of(row.machine)
     wearing = () if machine is None else machine.wearing_joints
     limits = [(name, f"{1e6 * machine.joints[name].worn_out_from:.4g}") for name in wearing] if machine else []

@@ -57,6 +57,7 @@ class ForecastOut(Shape):
     present: int = Field(description="Of these, in the catalogue already.")
     tried: int = Field(description="Computed for this forecast; none are kept.")
     seconds: float = Field(description="Time of the build, as busy as the computer is now.")
+    seconds_idle: float = Field(description="Time of the build if the computer had nothing else to do.")
     size_bytes: int = Field(description="Of the files of the cases that are missing.")
     workers: int = Field(description="Processes that it is for.")
 
