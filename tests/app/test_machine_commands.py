@@ -246,7 +246,7 @@ def test_three_cranks_drawn_in_one_line_are_refused_in_one_line(tmp_path: Path) 
     file, drawing = tmp_path / "level.yaml", tmp_path / "level.svg"
     file.write_text(text)
     result = invoke("check", file, "--drawing", drawing)
-    assert result.exit_code == 2 and drawing.read_text().startswith("<svg")
+    assert result.exit_code == 2 and "<svg" in drawing.read_text()
     said = (
         "parallel-cranks: drive: links lie in one line in the drawn pose, from which nothing can be computed: draw it"
     )
