@@ -9,7 +9,7 @@ import numpy as np
 from jointplay.app.jobs.tasks import in_order, open_catalogue
 from jointplay.app.pages.understanding import RPM
 from jointplay.app.storage.told import Told
-from jointplay.catalogue.signals.shown_matched import nearest_row, trusted_rows
+from jointplay.catalogue.signals.shown_matched import nearest_rows, trusted_rows
 from jointplay.solver.spectra.bands import BandScheme
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ def nearest(
     worn = [matrix.joints.index(joint) for joint in joints_of(matrix, hypothesis)]
     chosen = int(rows[0])
     if worn:
-        chosen = int(rows[nearest_row(matrix, rows, dict.fromkeys(joints_of(matrix, hypothesis), clearance))])
+        chosen = int(nearest_rows(matrix, rows, dict.fromkeys(joints_of(matrix, hypothesis), clearance))[0])
     sound_rows = trusted_rows(matrix, HEALTHY)
     table = matrix.table(np.array([chosen]))
     singles = int(np.sum(np.diff(matrix.edges) <= 1.0 + 1e-9))

@@ -20,6 +20,8 @@ from jointplay.solver.arrays import AnyComplexArray, FloatArray, IntArray
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.spectra.spectrum import DERIVATIVES, scale_power, value_units
 
+#: Entries of which the median is shown: one alone has the contact of its own draw.
+ALIKE = 9
 IN_ORDER = "healthy"
 """Label of the machines in order: no joint is worn, every one has the play of a new fit."""
 
@@ -34,7 +36,7 @@ class ShownHypothesis:
     label : str
         Of its hypothesis.
     clearances : mapping of joint to float
-        Radial, m: the nearest entry is shown. Where there are none, the mean power of all.
+        Radial, m: of the entries nearest to them the median is shown; where there are none, that of all.
     """
 
     kind: LineKind
@@ -102,14 +104,14 @@ def show_matched(
     for hypothesis in hypotheses:
         rows = trusted_rows(catalogue.matrix, hypothesis.label)
         if hypothesis.clearances and len(rows):
-            rows = rows[[nearest_row(catalogue.matrix, rows, hypothesis.clearances)]]
+            rows = np.sort(nearest_rows(catalogue.matrix, rows, hypothesis.clearances)[:ALIKE])
         if not len(rows):
             continue
-        power: AnyComplexArray = catalogue.matrix.cross_power(rows).mean(axis=0)
+        power: AnyComplexArray = catalogue.matrix.cross_power(rows)
         for name, unit, factor in zip(motion.names, units, motion.factors, strict=True):
             if name not in seen:
                 continue
-            level = np.einsum("i,gij,j->g", seen[name], power, seen[name]).real / width
+            level = np.median(np.einsum("i,rgij,j->rg", seen[name], power, seen[name]).real, axis=0) / width
             found = np.maximum(level[band], 0.0) * (factor * scale) ** 2
             # The width of a band of one order: what a sine has in it is all there is at an order.
             lines.append(ShownLine(name, hypothesis.kind, unit, scale_power(found, turn, question.scaling)))
@@ -133,8 +135,8 @@ def trusted_rows(matrix: FeatureMatrix, label: str) -> IntArray:
     return matrix.rows(label)
 
 
-def nearest_row(matrix: FeatureMatrix, rows: IntArray, clearances: Mapping[str, float]) -> int:
-    """Place among some rows of the one whose radial clearances [m] are nearest, by their ratio."""
+def nearest_rows(matrix: FeatureMatrix, rows: IntArray, clearances: Mapping[str, float]) -> IntArray:
+    """Some rows, those first whose radial clearances [m] are nearest to others, by their ratio."""
     worn = [matrix.joints.index(joint) for joint in clearances]
     off = np.abs(np.log(matrix.clearance(rows)[:, worn] / np.array(list(clearances.values()))))
-    return int(np.argmin(off.sum(axis=1)))
+    return np.asarray(rows[np.argsort(off.sum(axis=1), kind="stable")])
