@@ -200,6 +200,11 @@ def between(low: float, high: float) -> str:
     return f"{scaled(low, scale)} to {scaled(high, scale)} {unit}"
 
 
+def show_unit(unit: str) -> str:
+    """Return a unit as it is printed: "m/s²", "µm"."""
+    return unit.replace("s2", "s²").replace("um", "µm").replace("urad", "µrad")
+
+
 def length(value: float) -> str:
     """Return a clearance [µm] with its unit, mm from 1 mm on."""
     scale, unit = _unit(value)

@@ -25,7 +25,8 @@ from jointplay.app.jobs.build_runner import BuildRunner
 from jointplay.app.jobs.samples import StoredRecording
 from jointplay.app.jobs.workers import TaskFailedError, WorkerPool
 from jointplay.app.metrics import Metrics
-from jointplay.app.schemas.resources import BuildRequest, DiagnosisRequest
+from jointplay.app.schemas.builds import BuildRequest
+from jointplay.app.schemas.resources import DiagnosisRequest
 from jointplay.app.schemas.virtual import VirtualRequest
 from jointplay.app.settings import ServiceSettings
 from jointplay.app.shelves import built_in
@@ -143,7 +144,7 @@ class Service:
             wanted.revolutions,
             wanted.seed,
         )
-        content, name, summary = await self.pool.run(virtual.make_recording, task)
+        content, name, summary = await self.pool.run(virtual.make_recording, task, times=virtual.LIMITS)
         upload = await run_in_threadpool(self.store.receive, io.BytesIO(content))
         try:
             return await run_in_threadpool(self.store.add_measurement, upload, name, None, summary)
@@ -348,9 +349,12 @@ class Service:
         asset = self.asset_of(request.asset, offer.machine.name)
         in_order = [] if asset is None else self.baselines_of(asset, request.measurement)
         baselines = tuple((str(self.store.path_of(row.sha256)), row.name, row.told) for row in in_order)
+        limits_um = {} if asset is None else asset.limits_um
         mapping, prior = dict(request.mapping), request.prior.model_dump()
         place = (str(offer.path), offer.stamp)
-        question = tasks.DiagnosisTask(*place, speed, request.effort, request.mode, mapping, prior, baselines)
+        question = tasks.DiagnosisTask(
+            *place, speed, request.effort, request.mode, mapping, prior, baselines, limits_um
+        )
         return Asked(offer, asset, question, tuple(row.id for row in in_order))
 
     def new_diagnosis(

@@ -56,6 +56,7 @@ def command(
     try:
         sizes = account(found, state)
         check_assembly(found)
+        content = account_of(found, state, sizes, arrays)
     except AssemblyError as error:
         if drawing is not None:
             save_drawing(found, state.joints, drawing, error.joint)
@@ -70,7 +71,6 @@ def command(
             )
             raise OutputError(f"--response: {found.name}: {rule}")
         plots.save(draw_response(found), response)
-    content = account_of(found, state, sizes, arrays)
     if as_json:
         drawn = {"drawing": drawing and str(drawing), "response_drawing": response and str(response)}
         print_json(content | drawn)

@@ -24,6 +24,7 @@ from starlette.types import Scope
 from jointplay.app.errors import AppError, BadRequestError
 from jointplay.app.jobs.workers import TaskFailedError
 from jointplay.app.problems import MEDIA_TYPE, PLAIN_TYPE, Problem, of_status, of_validation, problem_of
+from jointplay.app.rows import show_unit
 from jointplay.app.words import spell_moment
 from jointplay.catalogue.errors import CatalogueError
 from jointplay.solver.errors import SolverError
@@ -54,7 +55,7 @@ def show_moments(text: str) -> Markup:
 
 
 SPELLED = re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d UTC")
-templates.env.filters |= {"moment": show_moment, "moments": show_moments}
+templates.env.filters |= {"moment": show_moment, "moments": show_moments, "unit": show_unit}
 
 
 def path_of(scope: Scope) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from jointplay.app.errors import BadFieldError, BuildOpenError, UnknownMachineError
-from jointplay.app.schemas.resources import BuildRequest
+from jointplay.app.schemas.builds import BuildRequest
 from jointplay.app.storage.build_queue import ENDED, BuildQueue, BuildRow
 from jointplay.app.storage.machine_store import MachineStore
 from jointplay.catalogue.errors import PlanError

@@ -29,9 +29,11 @@ def forecast_text(found: Forecast | Mapping[str, Any]) -> str:
     if not left:
         return f"all {given['cases']} cases are there"
     processes = "1 process" if given["workers"] == 1 else f"{given['workers']} processes"
+    idle, busy = duration_text(given["seconds_idle"]), duration_text(given["seconds"])
+    time = f"about {busy}" if idle == busy else f"{idle} on an idle computer, {busy} on one as busy as this is now,"
     return (
-        f"{given['cases']} cases{there}: about {duration_text(given['seconds'])} by {processes} and"
-        f" {size_text(given['size_bytes'])}, by {given['tried']} cases that were tried now"
+        f"{given['cases']} cases{there}: {time} by {processes} and {size_text(given['size_bytes'])},"
+        f" by {given['tried']} cases that were tried now"
     )
 
 

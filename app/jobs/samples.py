@@ -65,7 +65,7 @@ def read(path: str, name: str, told: Told) -> Recording | MeasuredSpectrum:
 
 
 def samples_of(stored: StoredRecording) -> Recording:
-    """Return a recording, its samples mapped from a file in single precision; it is read where there is no such file.
+    """Return a recording as :func:`measured_of` does.
 
     Raises
     ------
@@ -74,11 +74,24 @@ def samples_of(stored: StoredRecording) -> Recording:
     """
     from jointplay.catalogue.measurements.measurement import Recording
 
+    measured = measured_of(stored)
+    if not isinstance(measured, Recording):
+        raise BadFieldError("view: this measurement is a spectrum, which has no samples", field="view")
+    return measured
+
+
+def measured_of(stored: StoredRecording) -> Recording | MeasuredSpectrum:
+    """Return a spectrum, or a recording, its samples mapped from a file in single precision.
+
+    It is read where there is no such file.
+    """
+    from jointplay.catalogue.measurements.measurement import Recording
+
     with suppress(OSError, ValueError):
         return _mapped(stored)
     measured = read(stored.path, stored.name, stored.told)
     if not isinstance(measured, Recording):
-        raise BadFieldError("view: this measurement is a spectrum, which has no samples", field="view")
+        return measured
     with suppress(OSError, ValueError):
         keep(stored, measured)
         return _mapped(stored)

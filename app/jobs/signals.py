@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from math import pi
 from typing import TYPE_CHECKING, Any
@@ -14,18 +14,31 @@ import numpy as np
 from cachetools import LRUCache, cached
 
 from jointplay.app.errors import BadFieldError
-from jointplay.app.jobs.samples import StoredRecording, samples_of
+from jointplay.app.jobs.samples import StoredRecording, measured_of, samples_of
+from jointplay.app.jobs.tasks import open_catalogue
 
 if TYPE_CHECKING:
     from jointplay.app.schemas.signals import SignalOut
+    from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum
     from jointplay.catalogue.measurements.measurement import Recording
     from jointplay.catalogue.signals.shown_motion import ShownSignal
-    from jointplay.catalogue.signals.signal_question import SignalQuestion
+    from jointplay.catalogue.signals.signal_question import LineKind, SignalQuestion
 
 #: In place of a media type: every value of every line by itself, as JSON.
 ROWS, MOST_ROWS = "rows", 100_000
 #: Part of a recording that a speed is looked for in.
 SEARCHED_S = 20.0
+
+KINDS: dict[LineKind, str] = {
+    "value": "",
+    "low": " lowest",
+    "high": " highest",
+    "mean": " mean",
+    "rms": " rms",
+    "first": ", first hypothesis",
+    "second": ", second hypothesis",
+    "in_order": ", in order",
+}
 
 
 def look(
@@ -36,6 +49,8 @@ def look(
     mapping: Mapping[str, str],
     near: float | None = None,
     clearances: Mapping[str, float] | None = None,
+    catalogue: tuple[str, str] | None = None,
+    hypotheses: Sequence[tuple[str, Mapping[str, float]]] = (),
 ) -> bytes:
     """Return what is seen of a recording.
 
@@ -52,11 +67,18 @@ def look(
         Where no speed is asked for: what it is near to [rad/s].
     clearances : mapping of joint to float, optional
         Of the machine as it was matched, m.
+    catalogue : (str, str), optional
+        Folder and stamp of the catalogue that it was matched with.
+    hypotheses : sequence of (str, Mapping)
+        The first two, by their labels, with clearances by joint, m.
     """
-    from jointplay.catalogue.signals.shown_views import show_signal
+    from jointplay.catalogue.measurements.measurement import Recording
+    from jointplay.catalogue.signals.shown_views import show_signal, show_spectrum
     from jointplay.solver.machines.machine import parse_machine
 
-    recording = samples_of(stored)
+    recording = measured_of(stored) if question.view == "spectrum" else samples_of(stored)
+    if not isinstance(recording, Recording):
+        return written(kind, stored, recording, question, show_spectrum(recording, question))
     if question.speed is None and near is not None:
         question = replace(question, speed=speed_of(stored, near))
     parsed = None if machine is None else parse_machine(dict(machine))
@@ -68,8 +90,29 @@ def look(
         from jointplay.catalogue.signals.shown_contact import show_contact
 
         shown = show_contact(recording, question, parsed, mapping or None, clearances or {})
+    elif question.view == "matched":
+        if parsed is None or catalogue is None:
+            raise BadFieldError("diagnosis: machines are laid over by a diagnosis: name one", field="diagnosis")
+        from jointplay.catalogue.signals.shown_matched import IN_ORDER, ShownHypothesis, show_matched
+
+        kinds: tuple[LineKind, LineKind] = ("first", "second")
+        told = [ShownHypothesis(kind, *each) for kind, each in zip(kinds, hypotheses, strict=False)]
+        if IN_ORDER not in [each.label for each in told]:
+            told.append(ShownHypothesis("in_order", IN_ORDER, {}))
+        shown = show_matched(recording, question, parsed, mapping or None, open_catalogue(*catalogue), told)
     else:
         shown = show_signal(recording, question, parsed, mapping or None)
+    return written(kind, stored, recording, question, shown)
+
+
+def written(
+    kind: str,
+    stored: StoredRecording,
+    recording: Recording | MeasuredSpectrum,
+    question: SignalQuestion,
+    shown: ShownSignal,
+) -> bytes:
+    """Return what is seen in the form that is asked for."""
     if kind == "text/csv":
         return as_csv(shown)
     if kind == ROWS:
@@ -93,7 +136,9 @@ def speed_of(stored: StoredRecording, near: float) -> float:
     return estimate_speed(signal, recording.sample_rate, near, source=recording.name).speed
 
 
-def signal_out(key: str, recording: Recording, question: SignalQuestion, shown: ShownSignal) -> SignalOut:
+def signal_out(
+    key: str, recording: Recording | MeasuredSpectrum, question: SignalQuestion, shown: ShownSignal
+) -> SignalOut:
     """Return the outside shape of what is seen."""
     from jointplay.app.schemas.signals import SignalLine, SignalMap, SignalOut, SignalOverall
 
@@ -107,8 +152,8 @@ def signal_out(key: str, recording: Recording, question: SignalQuestion, shown: 
         view=question.view,
         unit=question.unit,
         of=question.of,
-        sample_rate_hz=recording.sample_rate,
-        duration_s=recording.duration,
+        sample_rate_hz=getattr(recording, "sample_rate", None),
+        duration_s=getattr(recording, "duration", None),
         drive_speed_rpm=None if question.speed is None else abs(question.speed) * 30 / pi,
         high_pass_hz=shown.high_pass,
         axis=shown.axis,
@@ -165,7 +210,6 @@ def as_csv(shown: ShownSignal) -> bytes:
         for at, levels in zip(plain(shown.at, 9), np.round(shown.levels.T, 1).tolist(), strict=True):
             writer.writerow([at, *levels])
     else:
-        kinds = {"value": "", "low": " lowest", "high": " highest", "mean": " mean", "rms": " rms"}
-        writer.writerow([label, *(f"{line.name}{kinds[line.kind]} [{line.unit}]" for line in shown.lines)])
+        writer.writerow([label, *(f"{line.name}{KINDS[line.kind]} [{line.unit}]" for line in shown.lines)])
         writer.writerows(zip(plain(shown.at, 9), *(plain(line.values) for line in shown.lines), strict=True))
     return text.getvalue().encode()

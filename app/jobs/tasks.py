@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -49,6 +49,8 @@ class DiagnosisTask:
         Numbers of :class:`~jointplay.catalogue.matching.prior.Prior`.
     baselines : tuple
         Path, name and what is told of every recording of the machine in order.
+    limits_um : Mapping
+        Its own limits by joint, in place of the machine's.
     """
 
     catalogue: str
@@ -59,6 +61,7 @@ class DiagnosisTask:
     mapping: Mapping[str, str]
     prior: Mapping[str, Any]
     baselines: tuple[tuple[str, str, Told], ...] = ()
+    limits_um: Mapping[str, float] = field(default_factory=dict)
 
 
 def summarise(path: str, name: str, told: Told, kept: StoredRecording | None = None) -> dict[str, Any]:
@@ -169,6 +172,7 @@ def _asked(question: DiagnosisTask) -> dict[str, Any]:
         "mode": question.mode,
         "mapping": question.mapping or None,
         "prior": Prior(**question.prior),
+        "limits_um": question.limits_um,
         "baseline": [in_order(*each) for each in question.baselines],
     }
 
@@ -189,7 +193,7 @@ def check_machine(text: str, name: str) -> str:
         With the line of the file that it is about.
     """
     machine = parse_lines(text, name)
-    sizes_of(machine, text)
+    account_for(machine, text)
     return machine.canonical_json()
 
 
@@ -233,7 +237,9 @@ def account_for(machine: Machine, text: str) -> dict[str, Any]:
     from jointplay.app.figures.machine_account import account_of
     from jointplay.solver.machines.fault import Fault
 
-    return account_of(machine, Fault({}), sizes_of(machine, text))
+    sizes = sizes_of(machine, text)
+    with lines_of(text):
+        return account_of(machine, Fault({}), sizes)
 
 
 def parse_lines(text: str, name: str) -> Machine:

@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 
 SAMPLE_RATE = 10_000.0
 RPM = 30.0 / math.pi
+LIMITS = 5.0
+"""Times the limit of time of the service: the equations of a machine are compiled when it is simulated first."""
+
 FARTHEST = 5.0
 """Times its own speed, or by so much slower, that a machine may turn: no catalogue reaches farther."""
 

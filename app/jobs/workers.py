@@ -128,7 +128,7 @@ class WorkerPool:
         for worker in self._workers:
             self._free.put_nowait(worker)
 
-    async def run(self, task: Callable[..., Any], *args: Any) -> Any:
+    async def run(self, task: Callable[..., Any], *args: Any, times: float = 1.0) -> Any:
         """Run a task in a worker and return its value.
 
         Parameters
@@ -137,6 +137,8 @@ class WorkerPool:
             A function at the top of a module.
         *args
             Its arguments; they must be picklable.
+        times : float, optional
+            How many times the limit of time it may take.
 
         Raises
         ------
@@ -157,16 +159,17 @@ class WorkerPool:
             worker = await self._free.get()
         finally:
             self._waiting -= 1
+        limit, said = times * self._time_limit, "" if times == 1.0 else " for this"
         began = time.perf_counter()
         came_to = "failed"
         try:
-            async with asyncio.timeout(self._time_limit):
+            async with asyncio.timeout(limit):
                 outcome = await run_in(worker, task, args)
             came_to = outcome.kind
         except TimeoutError:
             came_to = "time-limit"
             end(worker)
-            raise TimeLimitError(f"stopped after {self._time_limit:g} s, the time limit of this service") from None
+            raise TimeLimitError(f"stopped after {limit:g} s, the time limit of this service{said}") from None
         except (BrokenProcessPool, OSError):
             came_to = "worker-died"
             end(worker)

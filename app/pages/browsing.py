@@ -9,6 +9,7 @@ import numpy as np
 from jointplay.app.jobs.tasks import in_order, open_catalogue
 from jointplay.app.pages.understanding import RPM
 from jointplay.app.storage.told import Told
+from jointplay.catalogue.signals.shown_matched import nearest_rows, trusted_rows
 from jointplay.solver.spectra.bands import BandScheme
 
 if TYPE_CHECKING:
@@ -62,13 +63,12 @@ def nearest(
     """
     catalogue = open_catalogue(directory, stamp)
     matrix = catalogue.matrix
-    rows = _select_trusted(matrix, hypothesis)
+    rows = trusted_rows(matrix, hypothesis)
     worn = [matrix.joints.index(joint) for joint in joints_of(matrix, hypothesis)]
     chosen = int(rows[0])
     if worn:
-        off = np.abs(np.log(matrix.clearance(rows)[:, worn] / clearance)).sum(axis=1)
-        chosen = int(rows[np.argmin(off)])
-    sound_rows = _select_trusted(matrix, HEALTHY)
+        chosen = int(nearest_rows(matrix, rows, dict.fromkeys(joints_of(matrix, hypothesis), clearance))[0])
+    sound_rows = trusted_rows(matrix, HEALTHY)
     table = matrix.table(np.array([chosen]))
     singles = int(np.sum(np.diff(matrix.edges) <= 1.0 + 1e-9))
     scheme = BandScheme(matrix.edges, singles)
@@ -149,12 +149,3 @@ def _measured(catalogue: Catalogue, baseline: tuple[str, str, Told]) -> tuple[di
 def joints_of(matrix: FeatureMatrix, hypothesis: str) -> tuple[str, ...]:
     """Return the worn joints of a hypothesis of a catalogue."""
     return next(tuple(found.joints) for found in matrix.hypotheses if found.label == hypothesis)
-
-
-def _select_trusted(matrix: FeatureMatrix, label: str) -> Any:
-    """Rows at the machine's own speed, of the machine as modelled where there are such entries."""
-    for stratum in ("trusted", "wide"):
-        rows = matrix.rows(label, stratum, speed=matrix.nominal_speed)
-        if len(rows):
-            return rows
-    return matrix.rows(label)

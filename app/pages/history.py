@@ -12,6 +12,9 @@ from jointplay.app.storage.assets import FindingRow
 from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
 from jointplay.app.words import spell_moment
 
+FORESEEN_S = 60 * 86400.0
+"""How far ahead a chart looks at least, where a limit is foretold [s]."""
+
 
 def history(
     diagnoses: Sequence[DiagnosisRow], measurements: Mapping[str, MeasurementRow], findings: Sequence[FindingRow]
@@ -115,11 +118,49 @@ def chart(
         "joints": [{"name": name, "look": order.index(name) % 6} for name in joints],
         "kinds": sorted({event["kind"] for event in events}),
         "summary": summary(joints, points, len(shown), len(findings)),
-        "data": {
-            "label": "radial clearance, µm",
-            "joints": [{"name": name, "look": order.index(name) % 6, "points": points[name]} for name in joints],
-            "events": events,
-        },
+        "data": course(
+            [{"name": name, "look": order.index(name) % 6, "points": points[name]} for name in joints], events
+        ),
+    }
+
+
+def course(
+    joints: Sequence[Mapping[str, Any]],
+    events: Sequence[Mapping[str, Any]],
+    limits: Sequence[Mapping[str, Any]] = (),
+    reached: Sequence[Mapping[str, Any]] = (),
+) -> dict[str, Any]:
+    """Return what the script draws of clearances over time, with the ends of both axes.
+
+    As far ahead as a limit is foretold, but no further than the past reaches back.
+
+    Parameters
+    ----------
+    joints : sequence of mapping
+        ``name``, ``look`` and ``points``: ``at`` [s], ``um``, ``low`` and ``high``.
+    events : sequence of mapping
+        ``at``, ``kind``, and where they have them ``joint`` and ``um``.
+    limits : sequence of mapping
+        ``um`` and ``text``.
+    reached : sequence of mapping
+        ``um`` of a limit, and ``at``: when it is reached at the earliest, likely, and at the latest.
+    """
+    points = [point for joint in joints for point in joint["points"]]
+    times = [each["at"] for each in (*points, *events)]
+    first, last = min(times), max(times)
+    farthest = last + max(last - first, FORESEEN_S)
+    late = [farthest if each["at"][2] is None else each["at"][2] for each in reached]
+    end = min(farthest, max([last, *late]))
+    margin = max(0.05 * (end - first), 1800.0)
+    sizes = [point["high"] for point in points] + [each.get("um") or 0.0 for each in (*events, *limits)]
+    return {
+        "label": "radial clearance, µm",
+        "joints": joints,
+        "events": events,
+        "limits": limits,
+        "reached": reached,
+        "ends": [first - margin, end + margin],
+        "top": 1.1 * max([1.0, *sizes]),
     }
 
 

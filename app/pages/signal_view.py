@@ -39,12 +39,13 @@ def signal_view(service: Service, key: str) -> dict[str, Any]:
         for other in [*baselines, *sorted(own, key=lambda each: each.measured_at, reverse=True)]:
             role = "baseline, " if other.id in asset.in_order else ""
             if other.id != key and other.summary.get("kind") != "spectrum":
-                others.setdefault(other.id, f"{role}{other.name}, {spell_moment(other.measured_at)}")
+                others.setdefault(other.id, f"{role}{other.name}, {spell_moment(other.measured_at)} UTC")
     return {
         "id": row.id,
         "name": row.name,
         "is_recording": row.summary.get("kind") != "spectrum",
         "facts": facts_of(row),
+        "moment": f"{row.measured_at:%Y-%m-%dT%H:%M:%SZ}",
         "channels": [channel["name"] for channel in row.summary["channels"]],
         "warnings": row.summary["warnings"],
         "assets": assets,

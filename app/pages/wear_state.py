@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from jointplay.app.pages.history import course
 from jointplay.app.pages.standing import day
 from jointplay.app.rows import between, length, micrometres, percent
 from jointplay.app.storage.assets import FindingRow
@@ -106,11 +107,10 @@ def chart(state: WearState, findings: Sequence[FindingRow]) -> dict[str, Any] | 
         "joints": looks,
         "kinds": sorted({event["kind"] for event in events} | ({"limit"} if reached else set())),
         "summary": f"Radial clearance by all recordings up to each. Last: {', '.join(said)}. The table has the values.",
-        "data": {
-            "label": "radial clearance, µm",
-            "joints": [{**look, "points": points[str(look["name"])]} for look in looks],
-            "events": events,
-            "limits": [{"um": um, "text": f"limit {', '.join(names)}"} for um, names in limits.items()],
-            "reached": reached,
-        },
+        "data": course(
+            [{**look, "points": points[str(look["name"])]} for look in looks],
+            events,
+            [{"um": um, "text": f"limit {', '.join(names)}"} for um, names in limits.items()],
+            reached,
+        ),
     }

@@ -12,17 +12,19 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import RedirectResponse, Response
 
 from jointplay.app.errors import BadFieldError
+from jointplay.app.figures.pictures import machine_picture
 from jointplay.app.http import paging
 from jointplay.app.http.gate import name_of
 from jointplay.app.http.handlers import note, problem_from, templates
 from jointplay.app.http.validation import validate
-from jointplay.app.pages.history import history
+from jointplay.app.pages.history import history, measured
 from jointplay.app.pages.page_forms import messages_of, number_of, plain_form
 from jointplay.app.pages.standing import STATES, show_standing
 from jointplay.app.pages.wear_state import show_state
 from jointplay.app.problems import Problem
 from jointplay.app.routes.assets import check_baseline, check_limits, list_assets
 from jointplay.app.routes.pages import REFUSALS, context
+from jointplay.app.rows import joint_colours
 from jointplay.app.schemas.assets import Acknowledgement, AssetIn, AssetName, Looking
 from jointplay.app.schemas.resources import DiagnosisRequest
 from jointplay.app.scopes import Scope
@@ -30,13 +32,13 @@ from jointplay.app.service import Service, of_request
 from jointplay.app.storage.assets import AssetRow, Assets, diagnoses_of, measurements_of
 from jointplay.app.storage.rows import Damaged, MeasurementRow, now
 from jointplay.app.storage.standings import Standings
-from jointplay.app.words import spell_moment
+from jointplay.app.words import colour_sentence, spell_moment
 
 router = APIRouter(prefix="/assets")
 
-LIMIT = "limit-"
+LIMIT, BASELINE = "limit-", "baseline-"
 DAYS = ("silent_after_days", "warn_within_days")
-FIELDS = ("external_id", "machine", "notes", "baseline", "from", "limits_um", *DAYS, "state", "note")
+FIELDS = ("external_id", "machine", "notes", "baselines", "from", "limits_um", *DAYS, "state", "note")
 SHOWN = 200
 
 
@@ -101,9 +103,6 @@ async def change(request: Request, external_id: str) -> Response:
         given.update(await plain_form(request))
         _, wanted = check_form({**given, "external_id": external_id, "machine": row.machine})
         await run_in_threadpool(check_limits, service, wanted)
-        if wanted.baseline is not None and wanted.baseline == row.baseline:
-            # The page chooses the first; those that came besides by the interface stay with it.
-            wanted = wanted.model_copy(update={"baselines": list(row.in_order)})
         await run_in_threadpool(check_baseline, service, wanted)
         await run_in_threadpool(found.put, external_id, wanted)
     except REFUSALS as error:
@@ -158,14 +157,17 @@ def check_form(given: dict[str, str]) -> tuple[str, AssetIn]:
     name = validate(AssetName, {"external_id": given["external_id"]}).external_id
     said: dict[str, Any] = {}
     limits: dict[str, float] = {}
+    baselines: list[str] = []
     for field, value in given.items():
         if field.startswith(LIMIT):
             limits[field.removeprefix(LIMIT)] = number_of(value, "limits_um")
+        elif field.startswith(BASELINE):
+            baselines.append(field.removeprefix(BASELINE))
         elif field in DAYS:
             said[field] = number_of(value, field)
         elif field != "external_id":
             said[field] = value
-    return name, validate(AssetIn, said | {"limits_um": limits})
+    return name, validate(AssetIn, said | {"limits_um": limits, "baselines": baselines})
 
 
 def looked_for(request: Request) -> dict[str, str]:
@@ -215,7 +217,10 @@ async def show_asset(
     """Return the page of an asset, and what was wrong with a change of it."""
     service = of_request(request)
     members = await run_in_threadpool(past, service, external_id, cursor)
-    members["chosen"] = members["stored"] | (given or {})
+    stored = members["stored"]
+    if given:  # a box that was left empty says nothing
+        stored = {name: value for name, value in stored.items() if not name.startswith(BASELINE)}
+    members["chosen"] = stored | (given or {})
     members |= {"may_match": may_match(request), "title": f"{external_id}: jointplay"}
     return await answer_page(request, "asset.html", members, problem)
 
@@ -259,8 +264,11 @@ def past(service: Service, external_id: str, cursor: str | None) -> dict[str, An
     own.sort(key=lambda each: (each.measured_at, each.number), reverse=True)
     recordings = [each for each in own if each.summary.get("kind") != "spectrum"]  # which is no baseline
     baselines = [store.measurement(key) for key in row.in_order]
-    recordings += [each for each in baselines[:1] if each.id not in {one.id for one in recordings}]
+    recordings += [each for each in baselines if each.id not in {one.id for one in recordings}]
     findings = found.findings(None, SHOWN + 1, None, {"asset": external_id}, damaged)
+    newest = None
+    if diagnoses and cursor is None:
+        newest = max(diagnoses, key=lambda each: (measured(each, measurements), each.number)).answer
     machine = service.machine_of(row.machine)
     wearing = () if machine is None else machine.wearing_joints
     limits = [(name, f"{1e6 * machine.joints[name].worn_out_from:.4g}") for name in wearing] if machine else []
@@ -268,9 +276,11 @@ def past(service: Service, external_id: str, cursor: str | None) -> dict[str, An
         "asset": asset_item(row),
         "standing": show_standing(row, now()),
         "limits": limits,
+        "drawing": "" if machine is None else machine_picture(machine, joint_colours(newest) if newest else {}),
+        "drawn": colour_sentence(newest) if newest else "",
         "stored": {
             "notes": row.notes,
-            "baseline": row.baseline or "",
+            **{f"{BASELINE}{key}": "yes" for key in row.in_order},
             **{name: getattr(row, name) for name in DAYS},
             **{f"{LIMIT}{name}": f"{limit:g}" for name, limit in row.limits_um.items()},
         },

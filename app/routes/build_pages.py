@@ -19,7 +19,7 @@ from jointplay.app.pages.build_view import PLANS, build_view, failures_view
 from jointplay.app.pages.page_forms import messages_of, plain_form
 from jointplay.app.problems import Problem
 from jointplay.app.routes.pages import REFUSALS, context
-from jointplay.app.schemas.resources import BuildRequest
+from jointplay.app.schemas.builds import BuildRequest
 from jointplay.app.scopes import Scope
 from jointplay.app.service import Service, of_request
 from jointplay.app.storage.build_queue import BuildRow

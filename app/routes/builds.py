@@ -24,7 +24,7 @@ from jointplay.app.http.validation import validate
 from jointplay.app.jobs.build_orders import order
 from jointplay.app.routes.diagnoses import JSON_TYPE, parse
 from jointplay.app.routes.machines import Cursor, Limit
-from jointplay.app.schemas.resources import BuildOut, BuildPage, BuildRequest
+from jointplay.app.schemas.builds import BuildOut, BuildPage, BuildRequest
 from jointplay.app.service import Service, of_request
 from jointplay.app.storage.build_queue import ENDED, build_out
 from jointplay.app.storage.idempotency import IdempotencyKey, once

@@ -7,7 +7,7 @@ from fastapi import APIRouter, Request, Response
 from jointplay.app.http.openapi import problems
 from jointplay.app.routes.builds import body, read_wanted
 from jointplay.app.routes.diagnoses import JSON_TYPE
-from jointplay.app.schemas.resources import ForecastOut
+from jointplay.app.schemas.builds import ForecastOut
 from jointplay.app.service import of_request
 
 router = APIRouter(prefix="/forecasts", tags=["builds"])

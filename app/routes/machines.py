@@ -21,8 +21,15 @@ from jointplay.app.jobs import tasks
 from jointplay.app.jobs.workers import TaskFailedError
 from jointplay.app.pages import understanding
 from jointplay.app.problems import Problem
-from jointplay.app.schemas.machines import MachineCheck, MachineVersionItem, MachineVersionPage
-from jointplay.app.schemas.resources import FieldError, MachineItem, MachinePage, Motion
+from jointplay.app.schemas.machines import (
+    MachineCheck,
+    MachineItem,
+    MachinePage,
+    MachineVersionItem,
+    MachineVersionPage,
+    Motion,
+)
+from jointplay.app.schemas.resources import FieldError
 from jointplay.app.service import of_request
 from jointplay.app.storage.idempotency import IdempotencyKey
 from jointplay.app.storage.machine_store import MachineVersion, check_name

@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from fastapi import APIRouter, Request
 from starlette.concurrency import run_in_threadpool
-from starlette.responses import Response
+from starlette.responses import RedirectResponse, Response
 
-from jointplay.app.errors import AppError
+from jointplay.app.errors import AppError, BadFieldError
 from jointplay.app.http.handlers import note, problem_from, templates
+from jointplay.app.http.validation import validate
+from jointplay.app.pages.page_forms import plain_form
 from jointplay.app.pages.signal_view import signal_view
-from jointplay.app.routes.pages import context
+from jointplay.app.problems import Problem
+from jointplay.app.routes.asset_pages import answer_page, may_match
+from jointplay.app.routes.pages import REFUSALS, context
+from jointplay.app.routes.signals import look
+from jointplay.app.schemas.resources import MeasurementChange
+from jointplay.app.schemas.signals import SignalOut, SignalQuery
 from jointplay.app.service import of_request
 
 router = APIRouter(prefix="/measurements")
@@ -21,12 +30,48 @@ CHOICES = {
     "levels": (("db", "dB"), ("log", "logarithmic"), ("lin", "linear")),
     "harmonics": (("", "none"), ("drive", "of the drive"), ("cursor", "of where I click")),
 }
+MOMENT = "measured_at"
+JSON_TYPE = "application/json"
 FIELDS = (*CHOICES, "channel", "speed", "diagnosis", "with")
 
 
 @router.get("/{key}")
 async def signal(request: Request, key: str) -> Response:
-    """Show a recording: over time, by frequency, over revolutions, by the angle of the drive."""
+    """Show a recording: over time, by frequency, over revolutions, by the angle of the drive. Or a spectrum."""
+    return await show(request, key)
+
+
+@router.get("/{key}/overall")
+async def overall(request: Request, key: str) -> Response:
+    """Show how much each channel shakes in all, as the form of the page asks for it."""
+    fields = set(SignalQuery.model_fields)
+    asked = {name: value for name, value in request.query_params.items() if name in fields and value}
+    try:
+        query = validate(SignalQuery, asked | {"view": "overall", "axis": "hz"})
+        found = SignalOut.model_validate_json(await look(of_request(request), key, query, JSON_TYPE))
+    except REFUSALS as error:
+        problem = problem_from(error)
+        note(request, problem)
+        return templates.TemplateResponse(request, "_overall.html", {"refused": problem.detail}, problem.status)
+    return templates.TemplateResponse(request, "_overall.html", {"seen": found})
+
+
+@router.post("/{key}")
+async def correct(request: Request, key: str) -> Response:
+    """Correct when a measurement was made."""
+    try:
+        given = await plain_form(request)
+        if MOMENT not in given:
+            raise BadFieldError(f"{MOMENT}: say when it was measured", field=MOMENT)
+        wanted = validate(MeasurementChange, given)
+        await run_in_threadpool(of_request(request).store.correct_moment, key, wanted.measured_at)
+    except REFUSALS as error:
+        return await show(request, key, problem_from(error))
+    return RedirectResponse(f"/measurements/{key}", status_code=303)
+
+
+async def show(request: Request, key: str, problem: Problem | None = None) -> Response:
+    """Return the page of a measurement, with what was wrong with a correction of it."""
     service = of_request(request)
     try:
         shown = await run_in_threadpool(signal_view, service, key)
@@ -47,5 +92,11 @@ async def signal(request: Request, key: str) -> Response:
         "with": shown["others"][0][0] if shown["others"] else "",
     }
     chosen = {name: request.query_params.get(name, usual.get(name, ""))[:200] for name in FIELDS}
-    members = {"signal": shown, "chosen": chosen, "choices": CHOICES, "title": f"{shown['name']}: jointplay"}
-    return templates.TemplateResponse(request, "signal.html", await context(request, **members))
+    members: dict[str, Any] = {
+        "signal": shown,
+        "chosen": chosen,
+        "choices": CHOICES,
+        "title": f"{shown['name']}: jointplay",
+    }
+    members |= {"may_match": may_match(request)}
+    return await answer_page(request, "signal.html", members, problem, (MOMENT,))

@@ -68,7 +68,8 @@ async def look(service: Service, key: str, query: SignalQuery, kind: str) -> byt
     speed = speed_of(query.speed)
     machine: Mapping[str, Any] | None = None
     mapping: Mapping[str, str] = {}
-    near = clearances = None
+    near = clearances = catalogue = None
+    hypotheses: list[tuple[str, dict[str, float]]] = []
     if query.diagnosis is not None:
         diagnosis = await run_in_threadpool(service.store.diagnosis, query.diagnosis)
         machine, mapping = diagnosis.machine, diagnosis.request.get("mapping") or {}
@@ -78,10 +79,26 @@ async def look(service: Service, key: str, query: SignalQuery, kind: str) -> byt
         clearances = {joint: found.clearance_um * 1e-6 for joint, found in best.items()}
         # Another recording of the machine turned at a speed of its own.
         near = diagnosis.answer.drive_speed_rpm * pi / 30
+        if query.view == "matched":
+            offer = await run_in_threadpool(service.shelf.find, diagnosis.answer.catalogue)
+            catalogue = (str(offer.path), offer.stamp)
+            hypotheses = [
+                (each.label, {joint: found.clearance_um * 1e-6 for joint, found in each.joints.items()})
+                for each in diagnosis.answer.hypotheses[:2]
+            ]
     stored = StoredRecording(row.id, str(service.store.path_of(row.sha256)), row.name, row.told, service.samples)
     asked = query.model_dump(exclude={"diagnosis", "speed"})
     found: bytes = await service.pool.run(
-        signals.look, stored, SignalQuestion(**asked, speed=speed), kind, machine, mapping, near, clearances
+        signals.look,
+        stored,
+        SignalQuestion(**asked, speed=speed),
+        kind,
+        machine,
+        mapping,
+        near,
+        clearances,
+        catalogue,
+        hypotheses,
     )
     return found
 

@@ -13,7 +13,7 @@ from jointplay.app.http.openapi import problems
 from jointplay.app.http.uploads import JSON_TYPE, json_body
 from jointplay.app.jobs.webhook_sender import check_url
 from jointplay.app.routes.machines import Cursor, Limit
-from jointplay.app.schemas.resources import DeliveryOut, DeliveryPage, WebhookIn, WebhookMade, WebhookOut, WebhookPage
+from jointplay.app.schemas.webhooks import DeliveryOut, DeliveryPage, WebhookIn, WebhookMade, WebhookOut, WebhookPage
 from jointplay.app.service import of_request
 from jointplay.app.storage.idempotency import IdempotencyKey, once
 from jointplay.app.storage.webhooks import DeliveryRow, TroubleRow, WebhookRow, Webhooks, place_of

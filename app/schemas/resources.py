@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import re
 from datetime import datetime
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StrictFloat, StrictStr
 
@@ -57,40 +56,6 @@ class ProblemDocument(BaseModel):
     errors: list[FieldError] = Field(default=[], description="The fields at fault, where there are any.")
 
 
-class MachineItem(Shape):
-    """A machine."""
-
-    name: str
-    content_key: str = Field(description="SHA-256 of the machine's content; also its ETag.")
-    links: int
-    turning_joints: list[str]
-    sliding_joints: list[str]
-    shipped: bool = Field(description="Whether it ships with the program; others were put there.")
-    sensors: list[str]
-
-
-class PinOrbit(Shape):
-    """Where the pin of a worn joint is in its socket over one revolution."""
-
-    joint: str
-    clearance_um: float = Field(description="Radial.")
-    at: list[tuple[float, float]] = Field(
-        description="x, y of the pin's middle from the socket's, in parts of the clearance: at 1 it touches. Evenly"
-        " over the revolution of the drive, the drawn position first."
-    )
-
-
-class Motion(Shape):
-    """How the drawing of a machine moves in one period of its drive."""
-
-    view_box: str = Field(description="Of the drawing, so that nothing leaves it.")
-    transforms: dict[str, list[str]] = Field(
-        description="By the class of an element of the drawing: its `transform` at each position, evenly over a period,"
-        " the drawn one first. What is not there stands still."
-    )
-    pins: list[PinOrbit] = Field(description="Of the joints with clearance that were asked for; simulated.")
-
-
 MADE_BY: Any = Field(
     description="Who made it: a person, else `key ID`, else an address; null where that was not noted yet."
 )
@@ -113,12 +78,6 @@ class StoredPage(Page):
     """What lists have of which single rows may be damaged."""
 
     damaged: list[DamagedItem] = Field(description="Rows of this page that are not what was stored; mostly none.")
-
-
-class MachinePage(Page):
-    """A page of machines."""
-
-    items: list[MachineItem]
 
 
 class SensorItem(Shape):
@@ -339,153 +298,3 @@ class Readiness(Shape):
 
     status: Literal["ready"]
     catalogues: int
-
-
-State = Literal["queued", "running", "done", "failed", "cancelled", "worker_lost"]
-
-CATALOGUE_NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
-
-
-def check_catalogue_name(given: object) -> object:
-    """Return the name of a catalogue; one that breaks the rule is refused in words, not by its pattern."""
-    if isinstance(given, str) and not re.fullmatch(CATALOGUE_NAME, given):
-        raise ValueError(
-            f'"{given[:80]}": must be 1 to 64 letters, digits, . _ and -, without blanks, the first a letter or digit'
-        )
-    return given
-
-
-class BuildRequest(Shape):
-    """Which catalogue to build, or to go on with."""
-
-    model_config = ConfigDict(
-        json_schema_extra={"example": {"machine": "slider-crank", "plan": "quick", "catalogue": "press-7"}}
-    )
-
-    machine: Annotated[str, Field(min_length=1, max_length=255, description="Name of a machine.")]
-    plan: Annotated[
-        dict[str, Any] | str,
-        Field(default="standard", description="quick, standard or thorough; or a plan file's content as JSON."),
-    ]
-    catalogue: Annotated[
-        str,
-        Field(
-            pattern=CATALOGUE_NAME,
-            description="Name of the catalogue's folder. One that is there is extended, if it is of the same machine.",
-        ),
-        BeforeValidator(check_catalogue_name),
-    ]
-    workers: Annotated[
-        int | None,
-        Field(default=None, ge=1, le=1024, strict=True, description="Processes that compute; one a processor."),
-    ]
-
-
-class ForecastOut(Shape):
-    """What a build would take, by some of its cases that were tried now."""
-
-    cases: int = Field(description="Of the plan.")
-    present: int = Field(description="Of these, in the catalogue already.")
-    tried: int = Field(description="Computed for this forecast; none are kept.")
-    seconds: float = Field(description="Time of the build, as busy as the computer is now.")
-    size_bytes: int = Field(description="Of the files of the cases that are missing.")
-    workers: int = Field(description="Processes that it is for.")
-
-
-class BuildOut(Shape):
-    """A build, and how far it is."""
-
-    id: str
-    machine: str
-    plan: str = Field(description="Name of the plan.")
-    plan_hash: str = Field(description="SHA-256 of what the plan asks for, without its name.")
-    catalogue: str = Field(description="Name of the catalogue's folder.")
-    catalogue_id: str | None = Field(description="Id of the catalogue as it was when the build ended.")
-    workers: int | None
-    state: State = Field(
-        description="A queued build waits for a server, or for another of the same catalogue; worker_lost: its process"
-        " or its server ended again and again. What was computed is kept in any case: the same build goes on with it."
-    )
-    message: str = Field(description="What went wrong, or what is being done besides cases, in one line; or nothing.")
-    cases_done: int = Field(description="Cases of the plan that are in the catalogue.")
-    cases_total: int = Field(description="All cases of the plan; 0 until the build has begun.")
-    rate_per_s: float = Field(description="Cases a second.")
-    seconds_left: float | None = Field(description="At this rate; null where it is not known.")
-    attempts: int = Field(description="How often it was begun, but for stops of its server in good order.")
-    created_at: datetime
-    started_at: datetime | None
-    ended_at: datetime | None
-
-
-class BuildPage(Page):
-    """A page of builds."""
-
-    items: list[BuildOut]
-
-
-Event = Literal[
-    "diagnosis.created",
-    "finding.created",
-    "asset.state_changed",
-    "limit.predicted",
-    "asset.silent",
-    "build.ended",
-    "webhook.disabled",
-]
-EVENTS: tuple[str, ...] = get_args(Event)
-
-
-class WebhookIn(Shape):
-    """Whom to tell, and of what."""
-
-    model_config = ConfigDict(
-        json_schema_extra={"example": {"url": "https://maintenance.example/jointplay", "events": ["diagnosis.created"]}}
-    )
-
-    url: Annotated[str, Field(min_length=1, max_length=2000, description="http or https, at a public address.")]
-    events: Annotated[list[Event], Field(min_length=1, max_length=len(EVENTS), description="What to tell of.")]
-
-
-class WebhookOut(Shape):
-    """A webhook."""
-
-    id: str
-    url: str
-    events: list[str]
-    created_at: datetime
-    state: Literal["active", "failing", "disabled"] = Field(
-        description="failing: nothing succeeded since `failing_since`; disabled: for so long that nothing is sent."
-    )
-    failing_since: datetime | None = None
-    disabled_at: datetime | None = None
-    error: str = Field(default="", description="Why the last attempt failed; empty where the last one did not.")
-
-
-class WebhookMade(WebhookOut):
-    """A webhook that has just been made."""
-
-    secret: str = Field(description="Signs every delivery (HMAC-SHA256); it is not shown again.")
-
-
-class WebhookPage(Page):
-    """A page of webhooks."""
-
-    items: list[WebhookOut]
-
-
-class DeliveryOut(Shape):
-    """One thing that a webhook was told, or is to be told."""
-
-    id: str = Field(description="Also in the header Jointplay-Delivery: the same again is the same delivery.")
-    event: str
-    state: str = Field(description="waiting, delivered, or failed after the last attempt.")
-    attempts: int
-    error: str = Field(description="Why the last attempt did not succeed; empty when it did, or there was none.")
-    created_at: datetime
-    due_at: datetime | None = Field(description="When the next attempt is made.")
-
-
-class DeliveryPage(Page):
-    """A page of deliveries."""
-
-    items: list[DeliveryOut]

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from jointplay.app.schemas.resources import Shape
-from jointplay.catalogue.signals.signal_question import SignalAxis, SignalOf, SignalView, UnitShown
+from jointplay.catalogue.signals.signal_question import LineKind, SignalAxis, SignalOf, SignalView, UnitShown
 from jointplay.solver.spectra.spectrum import Scaling
 
 Place = Annotated[float, Field(allow_inf_nan=False, ge=0.0, le=1e9)]
@@ -24,7 +24,8 @@ class SignalQuery(BaseModel):
             examples=["spectrum"],
             description="`waveform` over time; `spectrum`; `spectrogram`; `revolution`: mean and rms by the angle of"
             " the drive; `overall`: one figure a channel; `contact`: forces in the joints by that angle, simulated of"
-            " the machine as the diagnosis matched it.",
+            " the machine as the diagnosis matched it; `matched`: levels by order of machines of the catalogue, of the"
+            " first and the second hypothesis and in order.",
         ),
     ] = "waveform"
     unit: Annotated[
@@ -64,9 +65,12 @@ class SignalQuery(BaseModel):
     points: Annotated[int, Field(ge=2, le=20_000, examples=[12], description="Places on the axis, at most.")] = 1200
 
 
-LineKind = Annotated[
-    Literal["value", "low", "high", "mean", "rms"],
-    Field(description="`low` and `high`: of the samples of each place, where there are more of them than points."),
+Kind = Annotated[
+    LineKind,
+    Field(
+        description="`low` and `high`: of the samples of each place, where there are more of them than points; `first`,"
+        " `second` and `in_order`: of the machines that are laid over."
+    ),
 ]
 
 
@@ -74,7 +78,7 @@ class SignalLine(Shape):
     """A line over the axis."""
 
     name: str = Field(description="Of the channel, or of the frame's motion.")
-    kind: LineKind
+    kind: Kind
     unit: str
     values: list[float]
 
@@ -84,7 +88,7 @@ class SignalRow(Shape):
 
     at: float = Field(description="Place on the axis: s, Hz, orders, revolutions or the angle of the drive.")
     name: str = Field(description="Of the channel, or of the frame's motion.")
-    kind: LineKind
+    kind: Kind
     unit: str
     value: float
 
@@ -116,8 +120,8 @@ class SignalOut(Shape):
     view: SignalView
     unit: UnitShown
     of: SignalOf
-    sample_rate_hz: float
-    duration_s: float
+    sample_rate_hz: float | None = Field(description="Null for a spectrum.")
+    duration_s: float | None = Field(description="Null for a spectrum.")
     drive_speed_rpm: float | None
     high_pass_hz: float | None = Field(description="What is slower was left out in integrating; null where none was.")
     axis: str = Field(description="`time`, `frequency`, `order`, `revolution` or `angle`; empty without one.")

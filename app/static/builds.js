@@ -24,30 +24,25 @@
   const follow = (section) => {
     const place = section.dataset.place;
     const stream = new EventSource(section.dataset.events);
-    let asking = false;
-    let changed = false;
+    let asked = null;
 
+    // Who asks anew waits for the answer before no more.
     const show = async () => {
-      changed = true;
-      if (asking) return;
-      asking = true;
-      while (changed) {
-        changed = false;
-        try {
-          const answer = await fetch(place, { headers: { "HX-Request": "true" } });
-          if (answer.status === 401) {
-            stream.close();
-            window.location.assign(answer.headers.get("HX-Redirect"));
-            return;
-          }
-          if (!answer.ok) throw new Error(String(answer.status));
-          replace(section, await answer.text());
-          say("");
-        } catch (error) {
-          say("The service does not answer; what is shown may be old.");
+      asked?.abort();
+      asked = new AbortController();
+      try {
+        const answer = await fetch(place, { headers: { "HX-Request": "true" }, signal: asked.signal });
+        if (answer.status === 401) {
+          stream.close();
+          window.location.assign(answer.headers.get("HX-Redirect"));
+          return;
         }
+        if (!answer.ok) throw new Error(String(answer.status));
+        replace(section, await answer.text());
+        say("");
+      } catch (error) {
+        if (error.name !== "AbortError") say("The service does not answer; what is shown may be old.");
       }
-      asking = false;
     };
 
     // The browser tries no more: the build has ended, the session is over, or the service refuses.

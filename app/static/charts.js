@@ -2,28 +2,50 @@
 // A kind of chart says what is drawn in a place: { x, y, at, lines, bands, paint, group, file, refine, value }.
 "use strict";
 
-window.jointplay = window.jointplay || {};
-
 (() => {
+  const { make } = window.jointplay;
   const kinds = [];
   const drawn = new Map();
   const READ_OUT = 80;
+  const LOG = { distr: 3, log: 10 };
 
   const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
-  const isPlain = (value) => (value == null ? "–" : Number(value.toPrecision(4)).toString());
+  const plain = (value) => (value == null ? "–" : tick(value, 4));
 
-  // What a figure paints over its lines, on a canvas or into a file: the same strokes.
-  const onCanvas = (chart) => ({
-    pen: chart.ctx,
-    scale: window.devicePixelRatio || 1,
-    x: (value) => chart.valToPos(value, "x", true),
-    y: (value) => chart.valToPos(value, "y", true),
-  });
+  // What figures paint with over their lines, in CSS pixels: on a canvas here, into a file by chart-files.js.
+  const paint = (figure, chart) => {
+    const { ctx: pen, bbox } = chart;
+    const scale = window.devicePixelRatio || 1;
+    const font = getComputedStyle(document.body).fontFamily;
+    const at = (axis) => (value) => chart.valToPos(value, axis, true) / scale;
+    pen.save();
+    pen.beginPath();
+    pen.rect(bbox.left, bbox.top, bbox.width, bbox.height);
+    pen.clip();
+    pen.scale(scale, scale);
+    pen.imageSmoothingEnabled = false;
+    figure.paint({
+      x: at("x"),
+      y: at("y"),
+      line: (points, stroke, width = 1, dash = []) => {
+        Object.assign(pen, { strokeStyle: stroke, lineWidth: width }).setLineDash(dash);
+        pen.beginPath();
+        for (const point of points) pen.lineTo(...point);
+        pen.stroke();
+      },
+      text: (said, left, top, fill, anchor = "start", size = "12px") => {
+        Object.assign(pen, { fillStyle: fill, textAlign: anchor, textBaseline: "alphabetic", font: `${size} ${font}` }).fillText(said, left, top);
+      },
+      image: (...picture) => pen.drawImage(...picture),
+    }, chart, figure);
+    pen.restore();
+  };
+  const tick = (value, digits) => (value == null ? "" : String(Number(value.toPrecision(digits))));
 
   const options = (entry, width) => {
     const { figure } = entry;
     const axis = { stroke: colour("--soft"), grid: { stroke: colour("--grid"), width: 1 }, ticks: { stroke: colour("--line"), width: 1 } };
-    const value = figure.value || isPlain;
+    const value = figure.value || plain;
     const inGroup = figure.group ? { key: figure.group, scales: ["x", null], filters: { pub: (kind) => kind === "mousemove" || kind === "mouseleave" } } : undefined;
     return {
       width,
@@ -31,22 +53,22 @@ window.jointplay = window.jointplay || {};
       tzDate: figure.x.tzDate,
       // A range that were fixed would forbid every zoom.
       scales: {
-        x: { time: Boolean(figure.x.time), ...(figure.x.log ? { distr: 3, log: 10 } : {}), range: (self, low, high) => (entry.whole && low <= entry.ends[0] && high >= entry.ends[1] ? entry.whole : [low, high]) },
-        y: { ...(figure.y.log ? { distr: 3, log: 10 } : {}), ...(figure.y.range ? { range: figure.y.range } : {}) },
+        x: { time: Boolean(figure.x.time), ...(figure.x.log && LOG), range: (self, low, high) => (entry.whole && low <= entry.ends[0] && high >= entry.ends[1] ? entry.whole : [low, high]) },
+        y: { ...(figure.y.log && LOG), ...(figure.y.range && { range: figure.y.range }) },
       },
       axes: [
-        { ...axis, size: figure.x.time ? 50 : 36, labelSize: 22, label: figure.x.label, ...(figure.x.space ? { space: figure.x.space } : {}), values: figure.x.values || ((self, ticks) => ticks.map((tick) => (tick == null ? "" : String(Number(tick.toPrecision(8)))))) },
-        { ...axis, label: figure.y.label, size: width > 480 ? 60 : 46, labelSize: 22, ...(figure.y.log ? { values: (self, ticks) => ticks.map((tick) => (tick == null ? "" : tick < 1e-3 ? tick.toExponential(0) : String(Number(tick.toPrecision(2))))) } : {}) },
+        { ...axis, size: figure.x.time ? 50 : 36, labelSize: 22, label: figure.x.label, ...(figure.x.space && { space: figure.x.space }), values: figure.x.values || ((self, ticks) => ticks.map((value) => tick(value, 8))) },
+        { ...axis, label: figure.y.label, size: width > 480 ? 60 : 46, labelSize: 22, ...(figure.y.log ? { values: (self, ticks) => ticks.map((value) => (value && value < 1e-3 ? value.toExponential(0) : tick(value, 2))) } : {}) },
       ],
       series: [
-        { label: figure.x.name, value: figure.x.value || ((self, at) => isPlain(at)) },
+        { label: figure.x.name, value: figure.x.value || ((self, at) => plain(at)) },
         ...figure.lines.map((line) => ({ width: 1.5, points: { show: false }, ...line.style, class: line.silent ? "silent" : undefined, label: line.name, value: (self, each) => value(each, line) })),
       ],
       bands: figure.bands,
       cursor: { sync: inGroup, drag: { x: true, y: false, setScale: true }, bind: { dblclick: () => () => { reset(entry); } } },
       legend: { show: true },
       hooks: {
-        draw: [(chart) => figure.paint?.(onCanvas(chart), chart, figure)],
+        draw: [(chart) => figure.paint && paint(figure, chart)],
         setScale: [(chart, key) => key === "x" && moved(entry)],
       },
     };
@@ -62,13 +84,13 @@ window.jointplay = window.jointplay || {};
   // The part of the axis that is shown, never beyond its ends.
   const show = (entry, low, high) => {
     const [first, last] = entry.whole;
-    const log = entry.figure.x.log;
-    const width = Math.min(log ? Math.log(high / low) : high - low, log ? Math.log(last / first) : last - first);
-    const from = Math.max(first, Math.min(low, log ? last * Math.exp(-width) : last - width));
-    entry.chart.setScale("x", { min: from, max: Math.min(last, log ? from * Math.exp(width) : from + width) });
+    const [to, back] = entry.figure.x.log ? [Math.log, Math.exp] : [Number, Number];
+    const width = Math.min(to(high) - to(low), to(last) - to(first));
+    const from = Math.max(to(first), Math.min(to(low), to(last) - width));
+    entry.chart.setScale("x", { min: Math.max(first, back(from)), max: Math.min(last, back(from + width)) });
   };
   const reset = (entry) => entry.chart.setScale("x", { min: entry.whole[0], max: entry.whole[1] });
-  const zoom = (entry, factor, middle = 0.5) => show(entry, along(entry, middle - middle * factor), along(entry, middle + (1 - middle) * factor));
+  const zoom = (entry, factor) => show(entry, along(entry, 0.5 - 0.5 * factor), along(entry, 0.5 + 0.5 * factor));
   const pan = (entry, part) => show(entry, along(entry, part), along(entry, 1 + part));
 
   // After a zoom, charts of the same group follow, and finer points are asked for where there are any.
@@ -173,33 +195,20 @@ window.jointplay = window.jointplay || {};
     for (const kind of ["pointerup", "pointercancel"]) over.addEventListener(kind, lifted);
   };
 
+  const TOOLS = [
+    ["+", "Zoom in", KEYS["+"]],
+    ["−", "Zoom out", KEYS["-"]],
+    ["◀", "Back", KEYS["<"]],
+    ["▶", "Forth", KEYS[">"]],
+    ["All", "All of the axis", reset],
+    ...["PNG", "SVG", "CSV"].map((kind) => [kind, `Download as ${kind}`, (now) => window.jointplay.saveChart(now, kind.toLowerCase())]),
+  ];
   const tools = (entry) => {
-    const bar = document.createElement("div");
-    bar.className = "chart-tools";
-    const title = entry.figure.title || "chart";
-    const button = (text, label, act) => {
-      const made = document.createElement("button");
-      made.type = "button";
-      made.className = "second";
-      made.textContent = text;
-      made.setAttribute("aria-label", `${label}: ${title}`);
-      made.title = label;
-      made.addEventListener("click", () => act(drawn.get(entry.place)));
-      bar.append(made);
-    };
-    button("+", "Zoom in", (now) => zoom(now, 0.5));
-    button("−", "Zoom out", (now) => zoom(now, 2));
-    button("◀", "Back", (now) => pan(now, -0.5));
-    button("▶", "Forth", (now) => pan(now, 0.5));
-    button("All", "All of the axis", reset);
-    for (const kind of ["png", "svg", "csv"]) {
-      button(kind.toUpperCase(), `Download as ${kind.toUpperCase()}`, (now) => window.jointplay.saveChart(now, kind));
-    }
-    entry.said = document.createElement("span");
-    entry.said.className = "unseen";
-    entry.said.setAttribute("role", "status");
-    bar.append(entry.said);
-    return bar;
+    entry.said = make("span", { className: "unseen", role: "status" });
+    const buttons = TOOLS.map(([text, title, act]) => make("button", {
+      type: "button", className: "second", title, "aria-label": `${title}: ${entry.figure.title || "chart"}`, onclick: () => act(drawn.get(entry.place)),
+    }, text));
+    return make("div", { className: "chart-tools" }, ...buttons, entry.said);
   };
 
   const draw = (place, figure) => {

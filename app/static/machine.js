@@ -3,23 +3,19 @@
 "use strict";
 
 (() => {
-  const text = () => document.getElementById("text");
+  const { byId, make } = window.jointplay;
+  const text = () => byId("text");
   const gutter = () => document.querySelector(".editor .gutter");
 
   const number = () => {
     if (!text() || !gutter()) return;
     const wrong = Number(document.querySelector("#told [data-line]")?.dataset.line);
-    const lines = text().value.split("\n").map((_, index) => {
-      const line = document.createElement("span");
-      line.textContent = String(index + 1);
-      if (index + 1 === wrong) line.className = "wrong";
-      return line;
-    });
+    const lines = text().value.split("\n").map((_, index) => make("span", { className: index + 1 === wrong ? "wrong" : "" }, index + 1));
     gutter().replaceChildren(...lines);
     gutter().scrollTop = text().scrollTop;
     const told = document.querySelector("#told .refused");
-    document.getElementById("drawing").classList.toggle("old", told?.dataset.drawn === "no");
-    document.getElementById("account").classList.toggle("old", Boolean(told));
+    byId("drawing").classList.toggle("old", told?.dataset.drawn === "no");
+    byId("account").classList.toggle("old", Boolean(told));
   };
 
   // Who clicks on the message is led to its line.
@@ -46,7 +42,6 @@
     text().value = await event.target.files[0].text();
     text().dispatchEvent(new Event("input", { bubbles: true }));
   });
-  document.addEventListener("DOMContentLoaded", number);
   document.addEventListener("htmx:after:swap", number);
   window.addEventListener("pageshow", number);
 })();

@@ -5,29 +5,35 @@
 (() => {
   const byId = (id) => document.getElementById(id);
 
+  // An element with its properties and attributes, and what is in it.
+  const make = (name, given = {}, ...inside) => {
+    const made = document.createElement(name);
+    for (const [key, value] of Object.entries(given)) {
+      if (key in made) made[key] = value;
+      else made.setAttribute(key, value);
+    }
+    made.append(...inside);
+    return made;
+  };
+
+  // A row of a table: all heads of columns, or one of its row and figures.
+  const addRow = (part, scope, inside) => part.append(make("tr", {}, ...inside.map((each, index) => (index && scope === "row" ? make("td", {}, each) : make("th", { scope }, each)))));
+
   const mark = () => {
     for (const slot of document.querySelectorAll(".error[id]")) {
       const field = byId(slot.id.slice("error-".length));
       if (!field) continue;
       // A group of fields cannot be called invalid to a screen reader; it is described by the message.
       const attribute = field.tagName === "FIELDSET" ? "data-wrong" : "aria-invalid";
-      if (slot.textContent.trim()) {
-        field.setAttribute(attribute, "true");
-        const folded = field.closest("details");
-        if (folded) folded.open = true;
-      } else {
-        field.removeAttribute(attribute);
-      }
+      const wrong = Boolean(slot.textContent.trim());
+      if (!wrong) field.removeAttribute(attribute);
+      else field.setAttribute(attribute, "true");
+      const folded = wrong && field.closest("details");
+      if (folded) folded.open = true;
     }
   };
 
-  const noAnswer = () => {
-    const card = document.createElement("div");
-    card.className = "card refusal";
-    card.setAttribute("role", "alert");
-    card.textContent = "The service did not answer. Is it still running?";
-    byId("result").replaceChildren(card);
-  };
+  const noAnswer = () => byId("result").replaceChildren(make("div", { className: "card refusal", role: "alert" }, "The service did not answer. Is it still running?"));
 
   // A session that has ended is begun anew; what was typed comes back with the address.
   const signIn = (place, form) => {
@@ -35,7 +41,7 @@
     window.location.assign(`/sign-in?next=${encodeURIComponent(`${place}?${new URLSearchParams(fields)}`)}`);
   };
 
-  Object.assign(window.jointplay, { mark, noAnswer, signIn });
+  window.jointplay = { byId, make, addRow, mark, noAnswer, signIn };
 
   document.addEventListener("htmx:before:response", (event) => {
     const form = byId("confirm");

@@ -2,24 +2,23 @@
 "use strict";
 
 (() => {
-  const { colour, shade, drawChart, chartAt, addChartKind } = window.jointplay;
+  const { colour, shade, drawChart, chartAt, addChartKind, byId } = window.jointplay;
   const figures = new Map();
-  const UNITS = { "m/s2": "m/s²", g: "g", "mm/s": "mm/s", um: "µm", "rad/s2": "rad/s²", "mrad/s": "mrad/s", urad: "µrad" };
-  const VIEWS = ["overall", "spectrum", "waveform", "revolution", "spectrogram"];
+  const VIEWS = ["spectrum", "waveform", "revolution", "spectrogram"];
   const DECIBELS = 20;
   let round = 0;
 
-  const form = () => document.getElementById("look");
+  const form = () => byId("look");
   const given = () => Object.fromEntries([...new FormData(form())].map(([name, value]) => [name, value.trim()]));
   const place = (view) => document.querySelector(`[data-signal="${view}"]`);
   // A rotation says its own unit, as the axis has that of the others.
   const named = (line, lines) => (line.unit === lines[0].unit ? line.name : `${line.name}, ${pretty(line.unit)}`);
-  const pretty = (unit) => unit.split(" ").map((part) => UNITS[part] || part).join(" ");
+  const pretty = (unit) => unit.replace("/s2", "/s²").replace(/^u/, "µ");
 
   const address = (key, view, look, more = {}) => {
     const asked = { view, unit: look.unit, of: look.of, ...more };
     if (look.channel) asked.channel = look.channel;
-    if (view === "spectrum" || view === "spectrogram") asked.axis = look.axis;
+    if (["spectrum", "spectrogram", "matched"].includes(view)) asked.axis = look.axis;
     if (look.diagnosis) asked.diagnosis = look.diagnosis;
     if (look.speed) asked.speed = look.speed;
     return `/api/v1/measurements/${encodeURIComponent(key)}/signal?${new URLSearchParams(asked)}`;
@@ -69,20 +68,31 @@
     if (look.levels === "lin") return values;
     return values.map((value) => (value > 0 ? (look.levels === "db" ? DECIBELS * Math.log10(value) : value) : null));
   };
+  // What is laid over a spectrum: another recording, or machines of the catalogue, each in its own look.
+  const LAID = {
+    other: { dash: [4, 4], width: 1 },
+    first: { colour: "--matched", dash: [6, 4], width: 2 },
+    second: { colour: "--rival", dash: [2, 3], width: 2 },
+    in_order: { colour: "--good", dash: [8, 3, 2, 3] },
+  };
   const spectra = (answers, look) => {
-    const tables = answers.map((found) => [found.at, ...found.lines.map((line) => scaled(line.values, look))]);
-    const [at, ...values] = tables.length > 1 ? uPlot.join(tables) : tables[0];
-    const lines = answers.flatMap((found, which) => found.lines.map((line, index) => ({
-      name: `${named(line, found.lines)}${which ? ", the other" : ""}`, unit: look.levels === "db" ? `dB re 1 ${line.unit}` : line.unit,
-      style: { stroke: tone(index), width: which ? 1 : 1.5, dash: which ? [4, 4] : undefined, spanGaps: true },
-    })));
+    const [at, ...values] = uPlot.join(answers.map((found) => [found.at, ...found.lines.map((line) => scaled(line.values, look))]));
+    const lines = answers.flatMap((found, which) => found.lines.map((line, index) => {
+      const laid = line.kind === "value" ? which && "other" : line.kind;
+      const { colour: own, ...style } = LAID[laid] || {};
+      return {
+        name: `${named(line, found.lines)}${laid ? `, ${laid.replace("_", " ")}` : ""}`, unit: look.levels === "db" ? `dB re 1 ${line.unit}` : line.unit,
+        style: { stroke: own ? colour(own) : tone(index), spanGaps: true, ...style },
+      };
+    }));
     return { at, lines: lines.map((line, index) => ({ ...line, values: values[index] })) };
   };
 
-  const spectrum = (found, look, key, other) => {
+  const spectrum = (found, look, key, more) => {
     const unit = pretty(found.lines[0].unit);
+    const [other, laid] = more;
     return {
-      ...spectra(other ? [found, other] : [found], look),
+      ...spectra([found, other, laid].filter(Boolean), look),
       x: { name: found.axis, label: axisOf(found), first: found.axis === "order" && found.ends[1] > 60 ? [found.ends[0], 60] : null },
       y: { label: look.levels === "db" ? `dB re 1 ${unit}` : unit, log: look.levels === "log" },
       harmonic: look.harmonics === "drive" && found.drive_speed_rpm ? (found.axis === "order" ? 1 : found.drive_speed_rpm / 60) : null,
@@ -90,56 +100,40 @@
       refine: async (from, to, signal) => {
         const asked = { from: Math.max(0, from), to, points: points("spectrum") };
         const places = [address(key, "spectrum", look, asked), ...(other ? [address(look.with, "spectrum", beside(look), asked)] : [])];
-        return spectra(await Promise.all(places.map((each) => fetched(each, signal))), look);
+        const answers = await Promise.all(places.map((each) => fetched(each, signal)));
+        return spectra([...answers, ...(laid ? [laid] : [])], look);
       },
     };
   };
 
   // Multiples of an order, as far as there is room for them.
-  const harmonics = ({ pen, scale, x, y }, chart, figure) => {
-    if (!figure.harmonic) return;
+  const harmonics = ({ line, text, x, y }, chart, { harmonic }) => {
     const { min, max } = chart.scales.x;
-    const [low, high] = [chart.scales.y.min, chart.scales.y.max];
-    const space = (chart.over.clientWidth * figure.harmonic) / (max - min);
-    if (space < 4) return;
-    pen.save();
-    pen.strokeStyle = colour("--decided");
-    pen.fillStyle = colour("--decided");
-    pen.lineWidth = scale;
-    pen.font = `${11 * scale}px system-ui, sans-serif`;
-    pen.textAlign = "center";
-    for (let number = Math.max(1, Math.ceil(min / figure.harmonic)); number * figure.harmonic <= max; number += 1) {
-      const at = x(number * figure.harmonic);
-      pen.setLineDash(number === 1 ? [] : [3 * scale, 3 * scale]);
-      pen.beginPath();
-      pen.moveTo(at, y(low));
-      pen.lineTo(at, y(high));
-      pen.stroke();
-      if (number % Math.ceil(22 / space) === 0 || number === 1) pen.fillText(String(number), at, y(high) + 10 * scale);
+    const { min: low, max: high } = chart.scales.y;
+    const space = (chart.over.clientWidth * harmonic) / (max - min);
+    if (!(space >= 4)) return;
+    for (let number = Math.max(1, Math.ceil(min / harmonic)); number * harmonic <= max; number += 1) {
+      const at = x(number * harmonic);
+      line([[at, y(low)], [at, y(high)]], colour("--decided"), 1, number === 1 ? [] : [3, 3]);
+      if (number % Math.ceil(22 / space) === 0 || number === 1) text(String(number), at, y(high) + 10, colour("--decided"), "center", "11px");
     }
-    pen.restore();
   };
 
-  const degrees = (self, ticks) => ticks.map((tick) => `${tick}°`);
+  // Everything by the angle of the drive has one axis.
+  const byAngle = (found, lines, label) => ({
+    at: found.at,
+    lines,
+    group: "angle",
+    x: { name: "angle", label: "angle of the drive, °", range: [0, 360], values: (self, ticks) => ticks.map((tick) => `${tick}°`) },
+    y: { label },
+  });
   const revolution = (found) => {
     const several = new Set(found.lines.map((line) => line.name)).size > 1;
     const shown = found.lines.filter((line) => line.kind === "rms" || !several);
-    return {
-      at: found.at,
-      lines: shown.map((line, index) => ({ name: several ? named(line, shown) : `${line.name}, ${line.kind}`, unit: line.unit, values: line.values, style: { stroke: tone(index), width: line.kind === "rms" ? 2 : 1.5 } })),
-      x: { name: "angle", label: "angle of the drive, °", range: [0, 360], values: degrees },
-      group: "angle",
-      y: { label: `${pretty(found.lines[0].unit)}${several ? " rms" : ""}` },
-    };
+    const lines = shown.map((line, index) => ({ ...line, name: several ? named(line, shown) : `${line.name}, ${line.kind}`, style: { stroke: tone(index), width: line.kind === "rms" ? 2 : 1.5 } }));
+    return byAngle(found, lines, `${pretty(found.lines[0].unit)}${several ? " rms" : ""}`);
   };
-
-  const contact = (found) => ({
-    at: found.at,
-    lines: found.lines.map((line, index) => ({ name: line.name, unit: line.unit, values: line.values, style: { stroke: tone(index), width: 2 } })),
-    group: "angle",
-    x: { name: "angle", label: "angle of the drive, °", range: [0, 360], values: degrees },
-    y: { label: "force, N" },
-  });
+  const contact = (found) => byAngle(found, found.lines.map((line, index) => ({ ...line, style: { stroke: tone(index), width: 2 } })), "force, N");
 
   const picture = (map) => {
     const loudest = Math.max(...map.levels_db.map((row) => Math.max(...row)));
@@ -176,17 +170,10 @@
         const row = Math.max(0, Math.min(rows.length - 1, Math.round((at - rows[0]) / (2 * half))));
         return `${figure.map.levels_db[row]?.[column]} dB at ${at.toPrecision(3)}`;
       },
-      paint: ({ pen, x, y }, chart, now) => {
+      paint: ({ image, x, y }, chart, now) => {
         const step = now.at.length > 1 ? (now.at[1] - now.at[0]) / 2 : 0.5;
-        const left = x(now.at[0] - step);
-        const top = y(high);
-        pen.save();
-        pen.beginPath();
-        pen.rect?.(chart.bbox.left, chart.bbox.top, chart.bbox.width, chart.bbox.height);
-        pen.clip?.();
-        pen.imageSmoothingEnabled = false;
-        pen.drawImage(now.image, left, top, x(now.at[now.at.length - 1] + step) - left, y(low) - top);
-        pen.restore();
+        const [left, top] = [x(now.at[0] - step), y(high)];
+        image(now.image, left, top, x(now.at.at(-1) + step) - left, y(low) - top);
       },
       refine: async (from, to, signal) => parts(await fetched(address(key, "spectrogram", look, { from: Math.max(0, from), to }), signal)),
     };
@@ -206,39 +193,18 @@
       x: { name: "x", label: `x, ${unit}` },
       y: { label: `y, ${unit}`, range: [-reach, reach] },
       csv: { head: ["angle [deg]", `x [${across.unit}]`, `y [${up.unit}]`], rows: found.at.map((at, index) => [at, across.values[index], up.values[index]]) },
-      paint: ({ pen, scale, x, y }) => {
-        pen.save();
-        pen.strokeStyle = tone(0);
-        pen.lineWidth = 2 * scale;
-        pen.beginPath();
-        for (let index = 0; index <= found.at.length; index += 1) {
-          const here = index % found.at.length;
-          pen[index ? "lineTo" : "moveTo"](x(across.values[here]), y(up.values[here]));
-        }
-        pen.stroke();
-        pen.restore();
-      },
+      paint: ({ line, x, y }) => line([...found.at.keys(), 0].map((index) => [x(across.values[index]), y(up.values[index])]), tone(0), 2),
     };
   };
 
-  const overall = (found) => {
-    const row = (kind, cells) => `<tr>${cells.map((cell, index) => `<${kind}${index ? ' class="figure"' : ` scope="${kind === "th" ? "col" : "row"}"`}>${cell}</${kind}>`).join("")}</tr>`;
-    const table = document.getElementById("overall");
-    const escaped = (text) => text.replace(/[&<>"]/g, (sign) => `&#${sign.charCodeAt(0)};`);
-    const said = (value) => Number(value.toPrecision(4));
-    const [low, high] = found.band_hz;
-    table.innerHTML = `<thead>${row("th", ["Channel", "Rms", "Peak", `Velocity, rms <span class="unit">${said(low)} to ${said(high)} Hz</span>`])}</thead><tbody>${found.overall.map((each) => row("td", [escaped(each.name), `${said(each.rms)} ${pretty(each.unit)}`, `${said(each.peak)} ${pretty(each.unit)}`, each.velocity_rms == null ? "–" : `${said(each.velocity_rms)} ${each.unit.includes("rad") ? "mrad/s" : "mm/s"}`])).join("")}</tbody>`;
-  };
-
-  const noted = (view, found) => {
-    const integrated = found.high_pass_hz ? [`integrated above ${Number(found.high_pass_hz.toPrecision(4))} Hz`] : [];
-    document.querySelector(`[data-note="${view}"]`).textContent = [...found.notes, ...integrated].map((each) => `${each[0].toUpperCase()}${each.slice(1)}.`).join(" ");
+  const noted = (view, notes) => {
+    document.querySelector(`[data-note="${view}"]`).textContent = notes.map((each) => `${each[0].toUpperCase()}${each.slice(1)}.`).join(" ");
   };
 
   const FIGURES = { waveform, spectrum, revolution, spectrogram, contact };
 
   const draw = (view, figure) => {
-    figure.title = document.getElementById(`title-${view}`).textContent;
+    figure.title = byId(`title-${view}`).textContent;
     figure.file = file(view);
     figures.set(view, figure);
     drawChart(place(view), figure);
@@ -249,13 +215,13 @@
   const show = async (view, look, mine) => {
     const key = form().dataset.measurement;
     document.querySelector(`[data-numbers="${view}"]`).href = address(key, view, look);
-    const more = view === "overall" ? {} : { points: view === "waveform" || view === "spectrum" ? points(view) : 1200 };
+    const more = { points: view === "waveform" || view === "spectrum" ? points(view) : 1200 };
     const found = await fetched(address(key, view, look, more));
     const other = view === "spectrum" && look.with ? await fetched(address(look.with, view, beside(look), more)) : null;
+    const laid = view === "spectrum" && look.diagnosis && look.channel ? await fetched(address(key, "matched", look)).catch((error) => ({ at: [], lines: [], notes: [error.message] })) : null;
     if (mine !== round) return;
-    noted(view, found);
-    if (view === "overall") overall(found);
-    else draw(view, FIGURES[view](found, look, key, other));
+    noted(view, [...found.notes, ...(laid?.notes || [])]);
+    draw(view, FIGURES[view](found, look, key, [other, laid]));
     if (view !== "revolution") return;
     const path = look.of === "frame" && !look.channel;
     place("orbit").closest("section").hidden = !path;
@@ -267,24 +233,24 @@
     round += 1;
     const mine = round;
     for (const option of document.querySelectorAll("#look-channel [data-of]")) {
-      option.hidden = option.disabled = option.dataset.of !== document.getElementById("look-of").value;
-      if (option.selected && option.disabled) document.getElementById("look-channel").value = "";
+      option.hidden = option.disabled = option.dataset.of !== byId("look-of").value;
+      if (option.selected && option.disabled) byId("look-channel").value = "";
     }
     const look = given();
     if (look.axis === "order" && !look.speed) look.axis = "hz";
     history.replaceState(null, "", `?${new URLSearchParams(given())}`);
-    document.getElementById("look-error").textContent = "";
+    byId("look-error").textContent = "";
     for (const view of VIEWS) {
       const without = view === "revolution" && !look.speed;
       place(view)?.closest("section").toggleAttribute("hidden", without);
-      if (without) continue;
-      show(view, look, mine).catch((error) => { if (mine === round) document.getElementById("look-error").textContent = error.message; });
+      if (without || !place(view)) continue;
+      show(view, look, mine).catch((error) => { if (mine === round) byId("look-error").textContent = error.message; });
     }
   };
 
   // Asked for by its own button, as it is simulated then.
   const simulate = async () => {
-    const said = document.getElementById("contact-said");
+    const said = byId("contact-said");
     said.textContent = "Simulating…";
     place("contact").hidden = false;
     try {
@@ -299,7 +265,7 @@
   const clicked = (event) => {
     if (event.target.id === "contact") simulate();
     const entry = chartAt(place("spectrum"));
-    if (!entry || document.getElementById("look-harmonics").value !== "cursor" || !entry.place.contains(event.target)) return;
+    if (!entry || byId("look-harmonics").value !== "cursor" || !entry.place.contains(event.target)) return;
     entry.figure.harmonic = entry.chart.posToVal(entry.chart.cursor.left, "x");
     entry.chart.redraw(false);
   };

@@ -1,12 +1,9 @@
-// Moments come in UTC and are shown in the reader's own time zone; what came stays as the tip.
+// Moments come in UTC and are shown and typed in the reader's own time zone; what came stays as the tip.
 "use strict";
 
 (() => {
-  const two = (number) => String(number).padStart(2, "0");
-  const spell = (moment) => [
-    `${moment.getFullYear()}-${two(moment.getMonth() + 1)}-${two(moment.getDate())}`,
-    `${two(moment.getHours())}:${two(moment.getMinutes())}`,
-  ];
+  const own = new Intl.DateTimeFormat("sv", { dateStyle: "short", timeStyle: "medium" });
+  const spell = (moment) => own.format(moment).slice(0, 16).split(" ");
   const zoneOf = (moment) =>
     new Intl.DateTimeFormat("en", { timeZoneName: "short" }).formatToParts(moment).find((part) => part.type === "timeZoneName").value;
   const localize = (root = document) => {
@@ -25,9 +22,19 @@
       });
     }
     for (const place of root.querySelectorAll("[data-zone]")) place.textContent = Intl.DateTimeFormat().resolvedOptions().timeZone;
+    for (const field of root.querySelectorAll("input[data-moment]")) {
+      const before = new Date(field.dataset.moment);
+      if (!field.value && !Number.isNaN(before.getTime())) field.value = own.format(before).replace(" ", "T");
+    }
   };
 
   Object.assign(window.jointplay, { localize });
+  // A moment is typed in the reader's own time zone, which is named beside it, and sent in UTC.
+  document.addEventListener("formdata", (event) => {
+    for (const { name, value } of event.target.querySelectorAll("input[type='datetime-local']")) {
+      if (value) event.formData.set(name, new Date(value).toISOString());
+    }
+  });
   document.addEventListener("DOMContentLoaded", () => localize());
   document.addEventListener("htmx:after:swap", () => localize());
 })();

@@ -3,7 +3,7 @@
 "use strict";
 
 (() => {
-  const byId = (id) => document.getElementById(id);
+  const { addRow, byId, make } = window.jointplay;
 
   const tooLarge = () => {
     const limit = Number(byId("ask").dataset.maxBytes);
@@ -68,15 +68,6 @@
   };
 
   // Several files: each is diagnosed by itself, as it is understood, and has a row with a link to its result.
-  const cells = (row, head, texts) => {
-    for (const text of texts) {
-      const cell = document.createElement(head || !row.children.length ? "th" : "td");
-      cell.scope = head ? "col" : "row";
-      cell.append(text);
-      row.append(cell);
-    }
-    return row;
-  };
   const outcome = async (given, file) => {
     const form = new FormData();
     for (const [name, value] of given) if (name !== "file" && name !== "measured_at" && value) form.append(name, value);
@@ -87,9 +78,8 @@
       const found = await answer.json();
       if (!answer.ok) return ["refused", found.detail];
       const [first] = found.hypotheses;
-      const link = Object.assign(document.createElement("a"), { href: `/diagnoses/${found.id}` });
-      link.textContent = `${Object.keys(first.joints).join(" + ") || "none worn"}, ${Math.floor(100 * first.probability)} %`;
-      return [found.verdict.replace("_", " "), link];
+      const said = `${Object.keys(first.joints).join(" + ") || "none worn"}, ${Math.floor(100 * first.probability)} %`;
+      return [found.verdict.replace("_", " "), make("a", { href: `/diagnoses/${found.id}` }, said)];
     } catch {
       return ["refused", "the service gave no answer"];
     }
@@ -97,19 +87,16 @@
   const sendEach = async (form) => {
     const given = [...new FormData(form)];
     const files = [...byId("file").files];
-    const table = document.createElement("table");
-    cells(table.createTHead().insertRow(), true, ["File", "Verdict", "Most probable, or why it was refused"]);
+    const table = make("table");
+    addRow(table.createTHead(), "col", ["File", "Verdict", "Most probable, or why it was refused"]);
     const rows = table.createTBody();
-    const card = Object.assign(document.createElement("section"), { className: "card scroll", tabIndex: 0, id: "answers" });
-    card.setAttribute("aria-label", "Results");
-    card.append(table);
-    byId("result").replaceChildren(card);
+    byId("result").replaceChildren(make("section", { className: "card scroll", tabIndex: 0, id: "answers", "aria-label": "Results" }, table));
     byId("progress").value = 0;
     for (const [number, file] of files.entries()) {
       waiting(`${number} of ${files.length} files are answered…`);
       const found = await outcome(given, file);
       if (!found) return;
-      cells(rows.insertRow(), false, [file.name, ...found]);
+      addRow(rows, "row", [file.name, ...found]);
       byId("progress").value = (number + 1) / files.length;
     }
     waiting("");
@@ -125,41 +112,22 @@
   document.addEventListener("change", (event) => {
     if (event.target.id === "file") tooLarge();
   });
-  // A moment is typed in the reader's own time zone, which is named beside it, and sent in UTC.
-  const local = (moment) => new Date(moment - moment.getTimezoneOffset() * 60000).toISOString().slice(0, 19);
-  document.addEventListener("formdata", (event) => {
-    const typed = event.target.id === "ask" && event.formData.get("measured_at");
-    if (typed) event.formData.set("measured_at", new Date(typed).toISOString());
-  });
   // A page that comes back from the browser's own cache is as it was left: it waits for nothing any more.
   window.addEventListener("pageshow", () => {
     if (!byId("ask")) return;
     byId("file").multiple = true;
     waiting("");
-    const field = byId("measured_at");
-    byId("zone").textContent = Intl.DateTimeFormat().resolvedOptions().timeZone;
-    const before = new Date(field.dataset.moment);
-    if (!field.value && !Number.isNaN(before.getTime())) field.value = local(before);
   });
 
-  const over = (event) => event.target.closest?.("#drop");
-  for (const kind of ["dragenter", "dragover"]) {
+  for (const kind of ["dragenter", "dragover", "dragleave", "drop"]) {
     document.addEventListener(kind, (event) => {
-      const drop = over(event);
-      if (!drop) return;
+      const place = event.target.closest?.("#drop");
+      if (!place) return;
       event.preventDefault();
-      drop.classList.add("over");
-    });
-  }
-  document.addEventListener("dragleave", (event) => over(event)?.classList.remove("over"));
-  document.addEventListener("drop", (event) => {
-    const drop = over(event);
-    if (!drop) return;
-    event.preventDefault();
-    drop.classList.remove("over");
-    if (event.dataTransfer.files.length) {
+      place.classList.toggle("over", kind === "dragenter" || kind === "dragover");
+      if (kind !== "drop" || !event.dataTransfer.files.length) return;
       byId("file").files = event.dataTransfer.files;
       tooLarge();
-    }
-  });
+    });
+  }
 })();

@@ -18,7 +18,7 @@ from sqlalchemy.orm import Mapped, Session, aliased, mapped_column
 
 from jointplay.app.errors import BuildEndedError, UnknownBuildError
 from jointplay.app.logs import request_id
-from jointplay.app.schemas.resources import BuildOut, State
+from jointplay.app.schemas.builds import BuildOut, State
 from jointplay.app.storage.audit import note
 from jointplay.app.storage.database import ServiceDatabase
 from jointplay.app.storage.rows import Base, newest, now

@@ -20,7 +20,7 @@ from sqlalchemy import JSON, ForeignKey, String, Text, delete, func, or_, select
 from sqlalchemy.orm import Mapped, Session, mapped_column
 
 from jointplay.app.errors import BadFieldError, UnknownDeliveryError, UnknownWebhookError, WebhookDisabledError
-from jointplay.app.schemas.resources import Event
+from jointplay.app.schemas.webhooks import Event
 from jointplay.app.storage import idempotency
 from jointplay.app.storage.audit import note
 from jointplay.app.storage.database import ServiceDatabase, is_id

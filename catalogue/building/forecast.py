@@ -52,7 +52,9 @@ class Forecast:
     tried : int
         Computed for this forecast.
     seconds : float
-        Time of the build, as this computer works now.
+        Time of the build, as busy as this computer is now.
+    seconds_idle : float
+        Time of the build on it with nothing else to do.
     size_bytes : int
         Of the files of the cases that are missing.
     workers : int
@@ -63,6 +65,7 @@ class Forecast:
     present: int
     tried: int
     seconds: float
+    seconds_idle: float
     size_bytes: int
     workers: int
 
@@ -131,12 +134,12 @@ def forecast(
         seconds += STARTING_S + sum(sorted(_networks(plan, machine, len(wanted)))[::-workers])
     # Whatever else the computer does now stretches the build as it has stretched this.
     busy = (time.perf_counter() - begun) / max(time.process_time() - worked, 1e-9)
-    seconds *= max(1.0, busy)
     return Forecast(
         cases=len(wanted),
         present=len(wanted) - len(missing),
         tried=tried,
-        seconds=seconds,
+        seconds=seconds * max(1.0, busy),
+        seconds_idle=seconds,
         size_bytes=size.of(len(missing), len(chunks)),
         workers=workers,
     )

@@ -35,7 +35,7 @@ class JointState(Frozen):
     p_over_limit : float
         Probability of a clearance above `limit_um`.
     limit_um : float
-        From which on the joint is worn out, as the machine file says.
+        From which on the joint is worn out: of the machine that was asked about, or as the machine file says.
     clearance_um, interval_um : float
         Median and central 90 % interval of its clearance, micrometres, of fit or wear.
     bound : {"none", "at_least", "at_most"}

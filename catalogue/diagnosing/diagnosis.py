@@ -31,6 +31,7 @@ def diagnose(
     coverage: float = 0.95,
     cases: int = 2304,
     prior: Prior | None = None,
+    limits_um: Mapping[str, float] | None = None,
     baseline: Recording | Sequence[Recording] | None = None,
     library: ModelLibrary | None = None,
 ) -> Diagnosis:
@@ -46,7 +47,7 @@ def diagnose(
         Of the same machine.
     speed : float, optional
         Drive speed, rad/s; estimated from the recording where it is not given. Nothing is cut where it is.
-    effort, mode, coverage, cases, prior
+    effort, mode, coverage, cases, prior, limits_um
         See :class:`Question`.
     mapping : mapping of str to str, optional
         Sensor of each column, for columns not named like their sensor.
@@ -78,6 +79,7 @@ def diagnose(
         coverage=coverage,
         cases=cases,
         prior=prior,
+        limits_um=limits_um,
         baseline=baseline,
         library=library,
     )

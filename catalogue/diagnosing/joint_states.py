@@ -17,7 +17,9 @@ EDGE = 0.02
 """Share of the catalogue's clearance range, at either end, which an interval has to reach to be a bound."""
 
 
-def joint_states(result: MatchResult, catalogue: Catalogue, coverage: float) -> dict[str, JointState]:
+def joint_states(
+    result: MatchResult, catalogue: Catalogue, coverage: float, limits_um: Mapping[str, float]
+) -> dict[str, JointState]:
     """Return what a recording says of every joint of the catalogue's hypotheses.
 
     Parameters
@@ -26,6 +28,8 @@ def joint_states(result: MatchResult, catalogue: Catalogue, coverage: float) -> 
     catalogue : Catalogue
     coverage : float
         Of the set, of worn and in order, that a condition is the only member of.
+    limits_um : mapping of str to float
+        From which on joints are worn out [um]; of others, as the machine's file says.
     """
     joints = sorted({joint for match in result.hypotheses for joint in match.joints})
     worn = {found.joint: found.median for found in result.best.clearances}
@@ -36,13 +40,13 @@ def joint_states(result: MatchResult, catalogue: Catalogue, coverage: float) -> 
         is_worn = sightings.condition(posterior.p_worn, coverage) if sightings else None
         condition: Condition = "open" if is_worn is None else "worn" if is_worn else "in_order"
         least = sightings.detectable_from(joint, worn) if sightings and joint in sightings.joints else None
-        limit = catalogue.machine.joints[joint].worn_out_from
+        limit_um = limits_um.get(joint, 1e6 * catalogue.machine.joints[joint].worn_out_from)
         low, median, high = (1e6 * posterior.quantile(share) for share in (0.05, 0.5, 0.95))
         states[joint] = JointState(
             condition=condition,
             p_worn=posterior.p_worn,
-            p_over_limit=posterior.above(limit),
-            limit_um=1e6 * limit,
+            p_over_limit=posterior.above(1e-6 * limit_um),
+            limit_um=limit_um,
             clearance_um=median,
             interval_um=(low, high),
             bound=_find_bound(posterior, catalogue),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import get_args
 
@@ -35,6 +37,8 @@ class Question:
         Cases that ``thorough`` may simulate, > 0.
     prior : Prior
         Which joints are likely to wear, and how many at once.
+    limits_um : mapping of str to float
+        Radial clearance [um] from which a joint of this very machine is worn out, where it is not as its file says.
 
     Raises
     ------
@@ -47,12 +51,16 @@ class Question:
     coverage: float = 0.95
     cases: int = 2304
     prior: Prior = field(default_factory=Prior)
+    limits_um: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not 0.0 < self.coverage < 1.0:
             raise DiagnosisError(f"coverage: {self.coverage}: must be between 0 and 1")
         if not 0 < self.cases <= MOST_CASES:
             raise DiagnosisError(f"cases: {self.cases}: must be a whole number from 1 to {MOST_CASES}")
+        for joint, limit in self.limits_um.items():
+            if not 0.0 < limit < math.inf:
+                raise DiagnosisError(f"limits_um.{joint}: {limit}: must be greater than 0")
         for name, known in (("effort", get_args(Effort)), ("mode", get_args(ModeAsked))):
             if getattr(self, name) not in known:
                 *first, last = known

@@ -77,7 +77,7 @@ def tell(
         *(number_warnings(known.baseline, catalogue) if known and heard.weighed else ()),
     ]
     with one_thread():
-        joints = joint_states(result, catalogue, question.coverage)
+        joints = joint_states(result, catalogue, question.coverage, question.limits_um)
     others = [
         share.drive_speed_rpm * math.pi / 30.0 for share in recordings if share.weight and share.sha256 != heard.sha256
     ]
@@ -114,6 +114,7 @@ def tell(
                 # What a sender has said of the file: units, sensitivities, a full scale.
                 list(prepared.notes),
                 known and [*known.sha256, {name: f"{gain.factor:.4g}" for name, gain in known.baseline.gains.items()}],
+                *([dict(sorted(question.limits_um.items()))] if question.limits_um else ()),
                 *said,
             ]
         )[:32],

@@ -45,6 +45,7 @@ def diagnose_together(
     coverage: float = 0.95,
     cases: int = 2304,
     prior: Prior | None = None,
+    limits_um: Mapping[str, float] | None = None,
     baseline: Recording | Sequence[Recording] | None = None,
     library: ModelLibrary | None = None,
 ) -> Diagnosis:
@@ -61,7 +62,7 @@ def diagnose_together(
         Of the same machine, best with several speeds.
     speeds : sequence of float or None, optional
         Drive speed of each, rad/s; estimated where it is not given.
-    effort, mode, mapping, coverage, cases, prior, baseline, library
+    effort, mode, mapping, coverage, cases, prior, limits_um, baseline, library
         As for :func:`~jointplay.catalogue.diagnosing.diagnosis.diagnose`; cases are for each recording.
 
     Returns
@@ -75,7 +76,7 @@ def diagnose_together(
     DiagnosisError
         A setting breaks a rule, there are no or too many recordings, or the catalogue holds too little.
     """
-    question = Question(effort, mode, coverage, cases, prior or Prior())
+    question = Question(effort, mode, coverage, cases, prior or Prior(), limits_um or {})
     question.prior.check(catalogue.matrix.joints)
     given = list(speeds) if speeds is not None else [None] * len(recordings)
     if not 1 <= len(recordings) <= MOST_TOGETHER:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.measurement import Recording
 from jointplay.catalogue.signals.sensors import MOTIONS, map_sensors
 from jointplay.catalogue.signals.shown_units import UNITS, continued_samples, differentiate, high_pass_for
-from jointplay.catalogue.signals.signal_question import SignalQuestion
+from jointplay.catalogue.signals.signal_question import LineKind, SignalQuestion
 from jointplay.solver.arrays import FloatArray
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.spectra.spectrum import DERIVATIVES, Quantity
@@ -27,14 +26,15 @@ class ShownLine:
     ----------
     name : str
         Of the channel, or of the motion.
-    kind : {"value", "low", "high", "mean", "rms"}
-        Of the samples of each place: the sample itself, the lowest and highest, mean and rms by angle.
+    kind : {"value", "low", "high", "mean", "rms", "first", "second", "in_order"}
+        Of the samples of each place: the sample itself, the lowest and highest, mean and rms by angle. Or whose it is:
+        of the first or second hypothesis, or of machines in order.
     unit : str
     values : (k,) array
     """
 
     name: str
-    kind: Literal["value", "low", "high", "mean", "rms"]
+    kind: LineKind
     unit: str
     values: FloatArray
 

@@ -15,6 +15,7 @@ import scipy.fft
 
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.drivespeed import track_speed
+from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum
 from jointplay.catalogue.measurements.measurement import Recording
 from jointplay.catalogue.signals.shown_motion import (
     Motion,
@@ -89,7 +90,10 @@ def show_signal(
         "overall": _overall,
     }
     shown = views[question.view](motion, question)
-    return replace(shown, high_pass=motion.high_pass) if motion.integrates else shown
+    if not motion.integrates:
+        return shown
+    note = f"integrated above {motion.high_pass:.4g} Hz"
+    return replace(shown, high_pass=motion.high_pass, notes=(*shown.notes, note))
 
 
 def _waveform(motion: Motion, question: SignalQuestion) -> ShownSignal:
@@ -135,8 +139,49 @@ def _spectrum(motion: Motion, question: SignalQuestion) -> ShownSignal:
     factor = (2.0 * math.pi * frequency) ** times
     if times < 0:
         factor = factor * pass_factor(frequency, motion.high_pass)
-    power = density * (factor[:, None] * motion.factors) ** 2 * (HANN_NOISE_LINES * found.resolution)
-    values = scale_power(power, HANN_NOISE_LINES * found.resolution, question.scaling)
+    density = density * (factor[:, None] * motion.factors) ** 2
+    said = f"mean of {found.averages} Hann windows of {window:.4g} s that overlap by half"
+    width = HANN_NOISE_LINES * found.resolution
+    return replace(_lines(frequency, density, width, motion.names, motion.units, question), notes=(said,))
+
+
+def show_spectrum(spectrum: MeasuredSpectrum, question: SignalQuestion) -> ShownSignal:
+    """Show a measured spectrum, as :func:`show_signal` shows that of a recording.
+
+    Raises
+    ------
+    MeasurementError
+        Orders are asked for without a speed; there is no such channel.
+    """
+    names = spectrum.channel_names
+    if question.channel and question.channel not in names:
+        rule = f"channel {question.channel[:80]}: must be one of {', '.join(names)}"
+        raise MeasurementError(spectrum.name, rule=rule, field="channel")
+    if question.axis == "order" and question.speed is None:
+        rule = "orders need the drive speed: give speed, or name a diagnosis"
+        raise MeasurementError(spectrum.name, rule=rule, field="speed")
+    wanted = [place for place, name in enumerate(names) if question.channel in ("", name)]
+    unit, first = UNITS[question.unit], int(spectrum.frequency[0] == 0.0)
+    frequency = spectrum.frequency[first:]
+    times = np.array([DERIVATIVES[unit.quantity] - DERIVATIVES[spectrum.channels[each].quantity] for each in wanted])
+    density = spectrum.density[first:, wanted] * (unit.factor * (2.0 * math.pi * frequency[:, None]) ** times) ** 2
+    # Numbers of a file come back as they are there: what a line stands for is as wide as its window makes it.
+    width = spectrum.resolution * np.array([spectrum.forms[each].line_widths or 1.0 for each in wanted])
+    units = (question.unit,) * len(wanted)
+    return _lines(frequency, density, width, tuple(names[each] for each in wanted), units, question)
+
+
+def _lines(
+    frequency: FloatArray,
+    density: FloatArray,
+    width: float | FloatArray,
+    names: tuple[str, ...],
+    units: tuple[str, ...],
+    question: SignalQuestion,
+) -> ShownSignal:
+    """Lines of a spectrum (n, m), each of a stretch of `width` [Hz], in the part of the axis that is asked for."""
+    values = scale_power(density * width, width, question.scaling)
+    turn = None if question.speed is None else abs(question.speed) / (2.0 * math.pi)
     per = 1.0 if question.axis == "hz" or turn is None else turn
     axis = frequency / per
     ends = (float(axis[0]), float(axis[-1]))
@@ -147,16 +192,14 @@ def _spectrum(motion: Motion, question: SignalQuestion) -> ShownSignal:
     first, last = np.searchsorted(axis, [low, high])
     part = slice(max(0, int(first) - 1), min(len(axis), int(last) + 1))
     axis, values = _highest(axis[part], values[part], question.points)
-    units = value_units(motion.units, question.scaling)
-    lines = zip(motion.names, units, values.T, strict=True)
+    lines = zip(names, value_units(units, question.scaling), values.T, strict=True)
     return ShownSignal(
         "frequency" if per == 1.0 else "order",
         "Hz" if per == 1.0 else "",
         ends,
         axis,
         tuple(ShownLine(name, "value", unit, column) for name, unit, column in lines),
-        resolution=found.resolution / per,
-        notes=(f"mean of {found.averages} Hann windows of {window:.4g} s that overlap by half",),
+        resolution=float(frequency[1] - frequency[0]) / per,
     )
 
 

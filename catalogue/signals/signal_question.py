@@ -8,7 +8,8 @@ from typing import Literal
 from jointplay.solver.spectra.spectrum import Scaling
 
 UnitShown = Literal["m/s2", "g", "mm/s", "um"]
-SignalView = Literal["waveform", "spectrum", "spectrogram", "revolution", "overall", "contact"]
+SignalView = Literal["waveform", "spectrum", "spectrogram", "revolution", "overall", "contact", "matched"]
+LineKind = Literal["value", "low", "high", "mean", "rms", "first", "second", "in_order"]
 SignalAxis = Literal["hz", "order"]
 SignalOf = Literal["sensors", "frame"]
 
@@ -19,7 +20,7 @@ class SignalQuestion:
 
     Parameters
     ----------
-    view : {"waveform", "spectrum", "spectrogram", "revolution", "overall", "contact"}
+    view : {"waveform", "spectrum", "spectrogram", "revolution", "overall", "contact", "matched"}
     unit : {"m/s2", "g", "mm/s", "um"}
     of : {"sensors", "frame"}
         Channels as they are, or the motions of the frame that they see.

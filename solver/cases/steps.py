@@ -17,6 +17,7 @@ from jointplay.solver.cases.driven_link import beside_drive
 from jointplay.solver.cases.rates import ContactRates
 from jointplay.solver.equations.model import Model
 from jointplay.solver.equations.numbers import evaluate
+from jointplay.solver.errors import AssemblyError
 
 Accuracy = Literal["draft", "standard", "reference"]
 
@@ -130,6 +131,11 @@ def smooth_eigenvalues(model: Model, p: Sequence[float]) -> FloatArray:
         and of links that nothing drives.
     p : sequence of float
         Lane parameters.
+
+    Raises
+    ------
+    AssemblyError
+        Motions that the closures tie to each other elsewhere are free of each other in the drawn pose.
     """
     if model.size == 0:
         return np.zeros(0)
@@ -141,6 +147,9 @@ def smooth_eigenvalues(model: Model, p: Sequence[float]) -> FloatArray:
     reduced = [tangent.T @ part @ tangent for part in (stiffness, damping)]
     n = tangent.shape[1]
     system = np.block([[np.zeros((n, n)), np.eye(n)], reduced])
+    if not np.isfinite(system).all():
+        rule = "links lie in one line in the drawn pose, from which nothing can be computed: draw it at another angle"
+        raise AssemblyError(model.machine.name, "drive", None, rule)
     return np.asarray(np.linalg.eigvals(system))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import hashlib
 import json
+import logging
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -54,6 +55,7 @@ def with_version(document: dict[str, Any], former: dict[str, Any]) -> dict[str, 
 
 
 def main() -> None:
+    logging.getLogger("python_multipart").setLevel(logging.ERROR)  # one example is a body that it cannot read
     with TemporaryDirectory() as scratch:
         folder = Path(scratch)
         build(shipped_machine("slider-crank"), parse_plan(PLAN), folder / "shelf" / "slider-crank", workers=2)

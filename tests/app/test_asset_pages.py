@@ -34,22 +34,34 @@ def noted(client: httpx.Client, name: str, machine: str = "slider-crank", notes:
     return client.post("/assets", data={"external_id": name, "machine": machine, "notes": notes})
 
 
-def test_an_asset_is_noted_and_changed(client: httpx.Client, recording: str) -> None:
+def page_of(client: httpx.Client, name: str) -> str:
+    return client.get(f"/assets/{name}").text
+
+
+def test_an_asset_is_noted_and_changed(client: httpx.Client, recording: str, in_order: bytes) -> None:
     answer = noted(client, "page-1", notes="hall <B>")
     assert (answer.status_code, answer.headers["location"]) == (303, "/assets/page-1")
     page = client.get("/assets/page-1").text
     assert "hall &lt;B&gt;" in page and "None yet." in page and "data-history" not in page
     assert 'href="/assets/page-1"' in client.get("/assets").text
     client.put(f"{API}/assets/page-1/measurements/{recording}")
-    assert f'<option value="{recording}" >worn.csv, ' in client.get("/assets/page-1").text
-    changed = client.post("/assets/page-1", data={"baseline": recording, "notes": "line 3"})
+    assert f'<input id="baseline-{recording}" name="baseline-{recording}" type="checkbox" value="yes" >' in (
+        client.get("/assets/page-1").text
+    )
+    changed = client.post("/assets/page-1", data={f"baseline-{recording}": "yes", "notes": "line 3"})
     assert changed.status_code == 303
     stored = client.get(f"{API}/assets/page-1").json()
     assert (stored["machine"], stored["notes"], stored["baseline"]) == ("slider-crank", "line 3", recording)
     assert "<dd>worn.csv</dd>" in client.get("/assets/page-1").text
-    client.post("/assets/page-1", data={"baseline": "", "notes": ""})
+    assert re.search(rf'name="baseline-{recording}" type="checkbox" value="yes" checked>', page_of(client, "page-1"))
+    other = client.post(f"{API}/measurements", files={"file": ("new.csv", in_order)}).json()["id"]
+    client.put(f"{API}/assets/page-1/measurements/{other}")
+    client.post("/assets/page-1", data={f"baseline-{recording}": "yes", f"baseline-{other}": "yes"})
+    assert set(client.get(f"{API}/assets/page-1").json()["baselines"]) == {recording, other}
+    client.post("/assets/page-1", data={"notes": ""})
     stored = client.get(f"{API}/assets/page-1").json()
-    assert (stored["notes"], stored["baseline"]) == ("", None)
+    assert (stored["notes"], stored["baseline"], stored["baselines"]) == ("", None, [])
+    assert 'class="machine-drawing' in page_of(client, "page-1")
 
 
 @pytest.mark.parametrize(
@@ -78,9 +90,9 @@ def test_a_refusal_is_told_beside_its_field(
 
 def test_a_baseline_that_is_none_is_told_beside_it(client: httpx.Client) -> None:
     noted(client, "page-2")
-    answer = client.post("/assets/page-2", data={"baseline": "none", "notes": "typed"})
+    answer = client.post("/assets/page-2", data={"baseline-none": "yes", "notes": "typed"})
     assert answer.status_code == 422
-    assert error_of(answer.text, "baseline") == "baseline: measurement none: there is none of this id"
+    assert error_of(answer.text, "baselines") == "baselines: measurement none: there is none of this id"
     assert ">typed</textarea>" in answer.text
     assert client.get(f"{API}/assets/page-2").json()["notes"] == ""
 

@@ -20,7 +20,7 @@ from service_process import client_of, service_process
 from small_service import serving
 from webhook_listener import Listener, listening
 
-from jointplay.app.schemas.resources import EVENTS
+from jointplay.app.schemas.webhooks import EVENTS
 from jointplay.app.scopes import Scope
 from jointplay.app.settings import ServiceSettings
 from jointplay.app.storage.keys import Keys
@@ -82,6 +82,10 @@ def test_a_worn_asset_from_its_first_recording_to_its_repair(service: httpx.Clie
     assert (found["state"], found["over_limit"], found["verdict"]) == ("alarm", ["B"], "worn")
     assert "Joint B is beyond its limit of 90 µm" in found["reasons"][0]["text"]
     assert (found["diagnosis"], datetime.fromisoformat(found["heard_at"])) == (answer["id"], moment)
+    # What is said of this recording is said by the same limit, on its page, too.
+    assert answer["joints"]["B"]["limit_um"] == 90.0 and answer["joints"]["B"]["p_over_limit"] > 0.9
+    assert answer["joints"]["A"]["limit_um"] == 200.0
+    assert "B is beyond its limit of 90 µm" in service.get(f"/diagnoses/{answer['id']}").text
     wear = service.get(f"{API}/assets/life-1/state").json()["joints"]
     assert (wear["B"]["limit_um"], wear["A"]["limit_um"]) == (90.0, 200.0)
     assert wear["B"]["p_over_limit"] > 0.5 > wear["A"]["p_over_limit"]

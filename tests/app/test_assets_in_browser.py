@@ -51,7 +51,7 @@ def test_an_asset_from_its_name_to_its_past(visit: Visit, worn: bytes, in_order:
     page.get_by_role("button", name="Note it").click()
     expect(page.get_by_role("heading", name=name)).to_be_visible()
     diagnose(page, f"new-{name}.csv", in_order, tmp_path, "No worn joint")
-    page.get_by_label("Baseline", exact=True).select_option(label=page.locator("#baseline option").nth(1).inner_text())
+    page.get_by_role("group", name="Baselines").get_by_role("checkbox").first.check()
     page.get_by_label("Notes", exact=True).fill("hall B, line 3")
     page.get_by_role("button", name="Save").click()
     expect(page.get_by_text("hall B, line 3").first).to_be_visible()

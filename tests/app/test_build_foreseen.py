@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 import re
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import httpx
 import pytest
 from command_line import assert_refused, invoke
 
-from jointplay.app.commands import build as build_command
 from jointplay.app.commands.progress import ProgressLine
 from jointplay.app.jobs import heartbeat
 from jointplay.app.jobs.build_process import BuildProgress, Telling
@@ -22,6 +22,7 @@ from jointplay.catalogue.building.forecast import Forecast
 from jointplay.catalogue.diagnosing.quality_card import QualityCard
 from jointplay.catalogue.storage.directory import CatalogueDirectory
 from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.machines import machine
 
 QUICK = {"machine": "slider-crank", "plan": "quick", "catalogue": "mine"}
 
@@ -30,20 +31,26 @@ def test_a_dry_run_says_time_and_size_and_writes_nothing(tmp_path: Path) -> None
     asked = ("build", "slider-crank", "--catalogue", tmp_path / "c", "--plan", "quick", "--dry-run", "--workers", "3")
     document = json.loads(invoke(*asked, "--json").stdout)
     assert (document["cases"], document["present"], document["workers"]) == (832, 0, 3)
-    assert document["seconds"] > 0
+    assert document["seconds"] >= document["seconds_idle"] > 0
     assert 2e6 < document["size_bytes"] < 50e6
     said = invoke(*asked).stdout
-    assert re.fullmatch(rf"{tmp_path / 'c'}: 832 cases: about .* by 3 processes and \d+ MB, by \d+ cases .*\n", said)
+    assert re.fullmatch(rf"{tmp_path / 'c'}: 832 cases: .* by 3 processes and \d+ MB, by \d+ cases .*\n", said)
     assert not list(tmp_path.iterdir())
     assert_refused(invoke(*asked[:-2], "--scheduler", "tcp://127.0.0.1:1"), 2, "--dry-run is for processes here")
 
 
 def test_what_is_foreseen_in_words() -> None:
-    found = Forecast(cases=100, present=40, tried=16, seconds=400.0, size_bytes=2_500_000_000, workers=1)
+    found = Forecast(
+        cases=100, present=40, tried=16, seconds=400.0, seconds_idle=395.0, size_bytes=2_500_000_000, workers=1
+    )
     assert forecast_text(found) == (
         "100 cases, 40 are there: about 7 min by 1 process and 2.5 GB, by 16 cases that were tried now"
     )
-    assert forecast_text(Forecast(100, 100, 0, 0.0, 0, 2)) == "all 100 cases are there"
+    assert forecast_text(replace(found, seconds_idle=50.0)) == (
+        "100 cases, 40 are there: 50 s on an idle computer, 7 min on one as busy as this is now, by 1 process"
+        " and 2.5 GB, by 16 cases that were tried now"
+    )
+    assert forecast_text(Forecast(100, 100, 0, 0.0, 0.0, 0, 2)) == "all 100 cases are there"
 
 
 def test_a_forecast_over_http_and_on_the_page(client: httpx.Client) -> None:
@@ -54,7 +61,7 @@ def test_a_forecast_over_http_and_on_the_page(client: httpx.Client) -> None:
     assert client.post("/api/v1/forecasts", json=QUICK).json() == found, "kept for a while"
     refused = client.post("/api/v1/forecasts", json={**QUICK, "machine": "none"})
     assert (refused.status_code, refused.json()["errors"][0]["field"]) == (422, "machine")
-    text = f"{found['cases']} cases: about "
+    text = f"{found['cases']} cases: "
     form = {**QUICK}
     page = client.post("/builds/forecast", data=form, headers={"Accept": "text/html"})
     assert page.status_code == 200
@@ -69,7 +76,7 @@ def test_ctrl_c_says_that_the_same_command_goes_on(tmp_path: Path, monkeypatch: 
     def stopped(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(build_command, "_build", stopped)
+    monkeypatch.setattr(machine, "load_machine", stopped)
     result = invoke("build", "slider-crank", "--catalogue", tmp_path / "c")
     assert result.exit_code == 130
     first, *_, last = result.stderr.splitlines()

@@ -36,6 +36,12 @@ WHITE = np.array([0.95047, 1.0, 1.08883])
 APART = 18.0  # CIE 1976; some 2 can just be seen side by side
 
 
+def test_own_scripts_stay_small() -> None:
+    """The page is a small one: what it has of its own stays below 60 kB in all, comments and indents with it."""
+    sizes = {path.name: path.stat().st_size for path in main.STATIC.glob("*.js")}
+    assert len(sizes) >= 10 and sum(sizes.values()) < 60_000, sizes
+
+
 def colours(scheme: str) -> dict[str, str]:
     """The variables of a scheme; the dark one changes those of the light one."""
     light, dark = re.findall(r":root \{(.*?)\}", CSS, re.DOTALL)[:2]

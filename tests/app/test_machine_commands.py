@@ -15,7 +15,7 @@ from matplotlib.patches import Circle
 from jointplay.app.figures.pictures import paint
 from jointplay.catalogue.storage.hdf5 import read_arrays
 from jointplay.solver.machines.drawing import draw_machine
-from jointplay.solver.machines.machine import load_machine, parse_machine, shipped_machine
+from jointplay.solver.machines.machine import load_machine, parse_machine, shipped_machine, shipped_machine_text
 
 
 def test_machines() -> None:
@@ -232,6 +232,25 @@ joints:
   D: {kind: turning, links: [rocker, bed], at: [0.2, 0]}
 drive: {kind: rotation, joint: O, speed: 60 rpm}
 """
+
+
+def test_three_cranks_drawn_in_one_line_are_refused_in_one_line(tmp_path: Path) -> None:
+    text = shipped_machine_text("parallel-cranks")
+    for drawn, level in (
+        ("[0.02, 0.034641016]", "[0.04, 0.0]"),
+        ("[0.36, 0.034641016]", "[0.38, 0.0]"),
+        ("[0.19, 0.254641016]", "[0.21, 0.22]"),
+    ):
+        assert drawn in text
+        text = text.replace(drawn, level)
+    file, drawing = tmp_path / "level.yaml", tmp_path / "level.svg"
+    file.write_text(text)
+    result = invoke("check", file, "--drawing", drawing)
+    assert result.exit_code == 2 and "<svg" in drawing.read_text()
+    said = (
+        "parallel-cranks: drive: links lie in one line in the drawn pose, from which nothing can be computed: draw it"
+    )
+    assert said in result.stderr and "unexpected" not in result.stderr
 
 
 @pytest.mark.parametrize("ending", ["svg", "png"])

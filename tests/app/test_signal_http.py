@@ -198,7 +198,76 @@ def test_a_spectrum_has_no_samples(client: httpx.Client) -> None:
     response = client.get(f"/api/v1/measurements/{sent.json()['id']}/signal")
     assert response.status_code == 422 and "is a spectrum" in response.json()["detail"]
     page = client.get(f"/measurements/{sent.json()['id']}")
-    assert page.status_code == 200 and "This is a spectrum" in page.text
+    assert page.status_code == 200 and 'data-signal="spectrum"' in page.text
+    assert 'data-signal="waveform"' not in page.text and "motion of the frame" not in page.text
+
+
+def test_a_spectrum_is_shown_as_it_was_sent(client: httpx.Client) -> None:
+    lines = np.arange(1.0, 401.0)
+    levels = np.where(lines == 50, 2.0, 0.01)
+    rows = table("f [Hz],a [g peak],b [mm/s rms]", np.column_stack([lines, levels, levels]))
+    key = send(client, rows, "route.csv", window="hann").json()["id"]
+    peak = seen(client, key, view="spectrum", unit="g", scaling="peak", points=1000)
+    assert (peak["axis"], peak["sample_rate_hz"], peak["resolution"]) == ("frequency", None, pytest.approx(1.0))
+    np.testing.assert_allclose(peak["lines"][0]["values"], levels, rtol=1e-5)
+    rms = seen(client, key, view="spectrum", unit="mm/s", points=1000)
+    np.testing.assert_allclose(rms["lines"][1]["values"], levels, rtol=1e-5)
+    assert rms["lines"][0]["values"][49] == pytest.approx(2.0 / 2**0.5 * 9806.65 / (2 * math.pi * 50), rel=1e-5)
+    orders = seen(client, key, view="spectrum", axis="order", speed="600 rpm", channel="b", **{"from": 4, "to": 6})
+    assert [line["name"] for line in orders["lines"]] == ["b"]
+    assert orders["at"][int(np.argmax(orders["lines"][0]["values"]))] == pytest.approx(5.0)
+    for asked, field in (({"axis": "order"}, "speed"), ({"channel": "c"}, "channel"), ({"view": "overall"}, "view")):
+        response = client.get(f"/api/v1/measurements/{key}/signal", params={"view": "spectrum", **asked})
+        assert response.status_code == 422 and response.json()["errors"][0]["field"] == field
+
+
+def test_machines_of_the_catalogue_are_laid_over_a_spectrum(
+    client: httpx.Client, measurement: dict[str, Any], diagnosis: dict[str, Any]
+) -> None:
+    asked = {"diagnosis": diagnosis["id"], "axis": "order"}
+    laid = seen(client, measurement["id"], view="matched", of="frame", channel="y", **asked)
+    lines = {line["kind"]: np.array(line["values"]) for line in laid["lines"]}
+    assert set(lines) >= {"first", "second"} and laid["at"][:3] == [1.0, 2.0, 3.0]
+    assert f"first: {diagnosis['hypotheses'][0]['label']}" in laid["notes"]
+    # The levels of the answer itself: of a band of several orders each has its share.
+    bands = [band for band in diagnosis["evidence"]["bands"] if band["channel"] == "y" and band["order"] < 200]
+    turned = 60 / diagnosis["drive_speed_rpm"]
+    widths = [max(1.0, (band["high_hz"] - band["low_hz"]) * turned) for band in bands]
+    shares = np.interp([band["order"] for band in bands], laid["at"], 20 * np.log10(lines["first"]))
+    predicted = [band["predicted_db"] for band in bands] - 10 * np.log10(widths)
+    assert len(bands) > 5 and np.median(np.abs(shares - predicted)) < 3.0
+    by_hz = seen(
+        client, measurement["id"], view="matched", of="frame", channel="y", unit="mm/s", diagnosis=asked["diagnosis"]
+    )
+    turn = diagnosis["drive_speed_rpm"] / 60
+    assert by_hz["at"][1] == pytest.approx(2 * turn, rel=1e-6)
+    first = next(line for line in by_hz["lines"] if line["kind"] == "first")["values"]
+    assert first[1] == pytest.approx(lines["first"][1] * 1e3 / (2 * math.pi * 2 * turn), rel=1e-4)
+    sensors = seen(client, measurement["id"], view="matched", **asked)
+    assert {line["name"] for line in sensors["lines"]} == {"s1-x", "s1-y", "s2-x", "s2-y"}
+    response = client.get(
+        f"/api/v1/measurements/{measurement['id']}/signal", params={"view": "matched", "speed": "600rpm"}
+    )
+    assert response.status_code == 422 and "name one" in response.json()["detail"]
+
+
+def test_when_it_was_measured_is_corrected_on_its_page(client: httpx.Client, tone: str) -> None:
+    place = f"/measurements/{tone}"
+    refused = client.post(place, data={"measured_at": "yesterday"})
+    assert refused.status_code == 422 and "must be a moment with a time zone" in refused.text
+    assert client.post(place, data={"measured_at": ""}).status_code == 422
+    assert client.post(place, data={"measured_at": "2026-03-01T06:00:00.000Z"}).status_code == 303
+    known = client.get(f"/api/v1{place}").json()
+    assert (known["measured_at"], known["measured_at_source"]) == ("2026-03-01T06:00:00Z", "sender")
+    assert 'data-moment="2026-03-01T06:00:00Z"' in client.get(place).text
+    assert client.post("/measurements/nonsense", data={"measured_at": "2026-03-01T06:00:00Z"}).status_code == 404
+
+
+def test_overall_levels_come_as_a_table(client: httpx.Client, tone: str) -> None:
+    text = client.get(f"/measurements/{tone}/overall", params={"unit": "g", "harmonics": "drive"}).text
+    assert "<td>0.1442 g</td>" in text and text.count('<th scope="row">') == 2
+    refused = client.get(f"/measurements/{tone}/overall", params={"channel": "c"})
+    assert refused.status_code == 422 and "channel c: must be one of a, b" in refused.text
 
 
 def test_the_page_names_what_belongs_to_it(

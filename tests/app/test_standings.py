@@ -18,7 +18,7 @@ from uploaded import uploaded
 
 from jointplay.app.errors import BadFieldError
 from jointplay.app.schemas.assets import AssetIn, FindingIn
-from jointplay.app.schemas.resources import EVENTS
+from jointplay.app.schemas.webhooks import EVENTS
 from jointplay.app.storage.assets import AssetRow, Assets
 from jointplay.app.storage.build_queue import BuildQueue
 from jointplay.app.storage.rows import now

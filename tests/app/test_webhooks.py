@@ -19,7 +19,7 @@ from webhook_listener import Listener, state, tell
 from jointplay.app.errors import BadFieldError
 from jointplay.app.jobs import webhook_sender
 from jointplay.app.jobs.webhook_sender import NotDeliveredError, WebhookSender, address_of, check_url, is_public
-from jointplay.app.schemas.resources import EVENTS
+from jointplay.app.schemas.webhooks import EVENTS
 from jointplay.app.settings import ServiceSettings
 from jointplay.app.storage.rows import now
 from jointplay.app.storage.store import Store

@@ -53,6 +53,10 @@ def test_what_was_recorded(names: tuple[str, ...], text: str) -> None:
     said = {"alone": "A", "p_alone": 0.9, "verdict": "worn", "weight": 0.7, "without": "A", "p_without": 0.9}
     share = {**said, "sha256": "0" * 64, "drive_speed_rpm": 480.0, "one_machine": 3.0, "contradicts": False}
     found = result("worn", joints=WORN, recordings=[{**share, "measurement": name} for name in names])
+    assert "apart from the others" not in words.next_step(found)
+    torn = result("worn", joints=WORN, recordings=[{**share, "measurement": "a.csv", "contradicts": True}])
+    said = "Next: diagnose a.csv apart from the others: the machine was not the same in all."
+    assert words.next_step(torn) == words.remarks(torn)[-1] == said
     assert words.recorded(found, "press.csv") == text
 
 

@@ -72,8 +72,10 @@ def test_a_task_over_the_limit_is_ended_and_its_worker_replaced() -> None:
         try:
             first = await pool.run(pid)
             pool._time_limit = 1.0  # now that its process has started
-            with pytest.raises(TimeLimitError, match="stopped after 1 s"):
+            with pytest.raises(TimeLimitError, match=r"stopped after 1 s, the time limit of this service$"):
                 await pool.run(sleep, 6000.0)
+            with pytest.raises(TimeLimitError, match="stopped after 2 s, the time limit of this service for this"):
+                await pool.run(sleep, 6000.0, times=2.0)
             pool._time_limit = 300.0
             assert await pool.run(pid) != first
             assert await gone(first)

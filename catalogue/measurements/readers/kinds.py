@@ -98,6 +98,11 @@ INSTALLED = {
 KINDS = {**FOREIGN, **INSTALLED}
 
 
+#: How a measurement data file (ASAM MDF) begins, whole or not, and how its name ends.
+MDF, MDF_ENDINGS = (b"MDF     ", b"UnFinMF "), (".mf4", ".mdf", ".mf3")
+NO_MDF = "is an MDF file, which is not read: export it as CSV, TDMS or MAT by the program that recorded it"
+
+
 def ending_for(data: bytes) -> str:
     """Ending of a name for content that has none, as that of a pipe."""
     packed = data.startswith(b"\x1f\x8b")
@@ -125,6 +130,8 @@ def known_ending(name: str) -> str:
     """
     ending = ending_of(name)
     endings = sorted({*TEXT_ENDINGS, *(each for kind in KINDS.values() for each in kind.endings)})
+    if ending in MDF_ENDINGS:
+        raise MeasurementError(name, rule=NO_MDF)
     if ending not in endings:
         rule = f"kind of file {ending or 'without suffix'!s} is not read; known: {', '.join(endings)}"
         raise MeasurementError(name, rule=rule)
@@ -139,6 +146,8 @@ def kind_of(data: bytes, name: str) -> FileKind | None:
     MeasurementError
         Neither says it, or they contradict each other.
     """
+    if data.startswith(MDF):
+        raise MeasurementError(name, rule=NO_MDF)
     told = _by_content(data)
     ending = ending_of(name) if told is not None else known_ending(name)
     if ending in TEXT_ENDINGS:
