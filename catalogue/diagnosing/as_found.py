@@ -213,6 +213,7 @@ def draw_cases(
             "fits": plan.fits.model_copy(update={"silent": 0.0}),
             "wide": plan.wide.model_copy(update={"draws": 0.0}),
             "speeds": (1.0,),
+            "loads": None,
             "guard": 0,
         }
     )

@@ -23,7 +23,7 @@ from jointplay.catalogue.plans.parameters import (
     ripple_order,
 )
 from jointplay.catalogue.plans.plan import Plan
-from jointplay.catalogue.plans.plan_parts import Distribution, log_uniform, unit_draws
+from jointplay.catalogue.plans.plan_parts import DAY_LOAD, Distribution, log_uniform, unit_draws
 from jointplay.catalogue.plans.variants import LawChoice, Variant, output_load
 from jointplay.solver.arrays import FloatArray
 from jointplay.solver.machines.joints import SlidingJoint
@@ -98,6 +98,8 @@ class Sequence:
     stratum : {"trusted", "wide"}
     speed : float
         Factor on the drive speed.
+    load : float
+        Of the process, N or N m; 0 for what the machine file has.
     count : int
         Draws.
     """
@@ -105,7 +107,13 @@ class Sequence:
     hypothesis: Hypothesis
     stratum: Stratum
     speed: float
+    load: float
     count: int
+
+    @property
+    def day(self) -> tuple[float, ...]:
+        """Conditions of the day, as seeds have them; a machine without loads has the draws that it always had."""
+        return (float(self.speed), self.load) if self.load else (float(self.speed),)
 
 
 def sequences_of(plan: Plan, machine: Machine) -> Iterator[Sequence]:
@@ -116,14 +124,17 @@ def sequences_of(plan: Plan, machine: Machine) -> Iterator[Sequence]:
         for stratum in strata:
             asked = plan.wide.count(count) if stratum == "wide" else count
             if asked:
-                yield from (Sequence(hypothesis, stratum, speed, asked) for speed in plan.speeds)
+                loads = [0.0] if plan.loads is None else [load.size for load in plan.loads]
+                yield from (
+                    Sequence(hypothesis, stratum, speed, load, asked) for speed in plan.speeds for load in loads
+                )
 
 
 def entries_of(plan: Plan, machine: Machine) -> tuple[Entry, ...]:
-    """Every case of a plan for a machine: by hypothesis, stratum, speed, then by draw.
+    """Every case of a plan for a machine: by hypothesis, stratum, speed, load, then by draw.
 
     Draw i of a hypothesis and stratum is point i of one space-filling sequence over clearances, contact law and all
-    that is uncertain: one machine, the same at every speed, but for what is of the day
+    that is uncertain: one machine, the same at every speed and load, but for what is of the day
     (:func:`~jointplay.catalogue.plans.parameters.is_of_the_day`). It does not depend on what else the plan asks for. So
     a plan with more draws or hypotheses contains the cases of the smaller one, and any number of first draws covers
     everything evenly.
@@ -132,17 +143,33 @@ def entries_of(plan: Plan, machine: Machine) -> tuple[Entry, ...]:
     ------
     PlanError
         A path of `uncertain` that the machine does not have or cannot vary; a set with a joint that it does not
-        have; a machine without a constant drive speed or limit cycle; speeds of a motor without a curve.
+        have; a machine without a constant drive speed or limit cycle; speeds of a motor without a curve; loads of a
+        machine that has no output link, or of another kind than that takes.
     """
     plan = plan.resolve(machine)
     if plan.speeds != (1.0,) and speed_path(machine) is None:
         rule = f"must be [1]: what machine {machine.name} turns at, which has no motor curve, is said by its load"
         raise PlanError("plan", "speeds", list(plan.speeds), rule)
+    _check_loads(plan, machine)
     strata: tuple[Stratum, ...] = ("trusted", "wide") if plan.wide.draws else ("trusted",)
     for stratum in strata:
         check_drawable(machine, frozenset(plan.spread(machine, stratum)))
     drawing = _Drawing(plan, machine, plan.recipe(machine))
     return tuple(entry for sequence in sequences_of(plan, machine) for entry in drawing.entries(sequence))
+
+
+def _check_loads(plan: Plan, machine: Machine) -> None:
+    """Refuse loads that the output link of a machine does not take."""
+    output = output_load(machine)
+    for i, load in enumerate(plan.loads or ()):
+        kind = "force" if load.torque is None else "torque"
+        if output is None:
+            rule = f"nothing but the driven link of machine {machine.name} moves on its frame: no output takes a load"
+            raise PlanError("plan", f"loads.{i}", str(load), rule)
+        if (kind == "torque") != bool(output.arm):
+            rule = f"the output of machine {machine.name}, link {output.link}, "
+            rule += "turns on the frame: give a torque" if output.arm else "slides on the frame: give a force"
+            raise PlanError("plan", f"loads.{i}.{kind}", str(load), rule)
 
 
 @dataclass
@@ -163,13 +190,15 @@ class _Drawing:
         # Coordinates: clearances, contact law, silence, then what is uncertain in alphabetical order, contacts joint by
         # joint.
         columns = len(opened) + 2 + sum(len(opened) if path in SHARED else 1 for path in spread)
-        # A draw is the same machine at every speed.
+        # A draw is the same machine on every day.
         points = unit_draws(self._seed(sequence, 1.0), columns, sequence.count)
-        if sequence.speed != 1.0:
+        if sequence.day != (1.0,):
             self._change_the_day(points[:, len(opened) + 2 :], sequence, spread, len(opened))
         ranges = {joint: self._range(joint, len(hypothesis.joints)) for joint in hypothesis.joints}
-        variants = {law: self._variant(spread, law) for law in laws}
+        variants = {law: self._variant(spread, law, is_loaded=sequence.load != 0.0) for law in laws}
         scatters = {law: self._scatter(variant, spread, laws) for law, variant in variants.items()}
+        loads = self._loads(sequence)
+        outputs = {law: self._outputs(variant) for law, variant in variants.items()} if sequence.load else {}
         for draw, point in enumerate(points.tolist()):
             is_silent = point[len(opened) + 1] < plan.fits.silent
             ideal = others if is_silent else []
@@ -182,6 +211,8 @@ class _Drawing:
             joints = tuple(sorted(sizes))
             law = _choice(laws, point[len(opened)])
             parameters = scatters[law].parameters(point[len(opened) + 2 :], sequence.speed)
+            for path, share in outputs.get(law, ()):
+                parameters[path] = parameters.get(path, 0.0) + share * loads[draw]
             yield Entry.of(
                 self.machine,
                 self.recipe,
@@ -196,8 +227,19 @@ class _Drawing:
                 guarded=plan.guard > 0 and draw % plan.guard == 0,
             )
 
-    def _seed(self, sequence: Sequence, speed: float) -> int:
-        return seed_from(self.plan.seed, sequence.hypothesis.label, sequence.stratum, speed)
+    def _seed(self, sequence: Sequence, *day: float) -> int:
+        return seed_from(self.plan.seed, sequence.hypothesis.label, sequence.stratum, *day)
+
+    def _outputs(self, variant: Variant) -> list[tuple[str, float]]:
+        """Paths of the numbers of the process load, and the share that each has of it."""
+        targets = MachineNumbers(variant.machine(self.machine)).targets(LOAD)
+        return [(target.path, target.share) for target in targets]
+
+    def _loads(self, sequence: Sequence) -> list[float]:
+        """Load of each draw, N or N m, about what the plan asks for."""
+        low, high = DAY_LOAD
+        share = unit_draws(self._seed(sequence, *sequence.day, *DAY_LOAD), 1, sequence.count)[:, 0]
+        return [sequence.load * (low + (high - low) * each) for each in share.tolist()]
 
     def _change_the_day(
         self, points: FloatArray, sequence: Sequence, spread: Mapping[str, Distribution], joints: int
@@ -215,7 +257,7 @@ class _Drawing:
         if not columns:
             return
         zero = np.array(ends)
-        anew = unit_draws(self._seed(sequence, float(sequence.speed)), len(columns), sequence.count)
+        anew = unit_draws(self._seed(sequence, *sequence.day), len(columns), sequence.count)
         # A joint without oil has none on any day.
         chosen = np.array(columns)
         points[:, chosen] = np.where(points[:, chosen] < zero, points[:, chosen], zero + (1.0 - zero) * anew)
@@ -228,10 +270,10 @@ class _Drawing:
         high = bounds.high * (bounds.beyond if worn == 1 else 1.0)
         return low, max(min(high, travel(self.machine, joint)), 2.0 * low)
 
-    def _variant(self, spread: Mapping[str, Distribution], law: LawChoice) -> Variant:
+    def _variant(self, spread: Mapping[str, Distribution], law: LawChoice, *, is_loaded: bool) -> Variant:
         orders = {order for order in map(ripple_order, spread) if order is not None}
         waves = {order for order in map(load_order, spread) if order is not None}
-        load = output_load(self.machine) if LOAD in spread or waves else None
+        load = output_load(self.machine) if is_loaded or LOAD in spread or waves else None
         return Variant(law, tuple(sorted(orders)), load.link if load else "", tuple(sorted(waves)) if load else ())
 
     def _scatter(self, variant: Variant, spread: Mapping[str, Distribution], laws: Iterable[LawChoice]) -> Scatter:

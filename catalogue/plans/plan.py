@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -18,6 +18,7 @@ from jointplay.catalogue.plans.plan_parts import (
     Auto,
     Bands,
     ClearanceRange,
+    DayLoad,
     Distribution,
     DrawCounts,
     Fits,
@@ -67,6 +68,9 @@ class Plan(Part):
         Draws of a machine whose own data are uncertain, too.
     speeds : tuple of float
         Factors on the machine's drive speed; every hypothesis is drawn at every one of them.
+    loads : tuple of DayLoad, optional
+        Loads of the process, as conditions of the day; every hypothesis is drawn at every one of them and of the
+        speeds. None: only what the machine file has.
     guard : int
         One draw in so many is computed again at accuracy "standard", and the difference kept; 0 for none.
     seed : int
@@ -93,6 +97,7 @@ class Plan(Part):
     laws: Annotated[Mapping[LawChoice, Annotated[float, QuantityField(RATIO, above=0.0)]] | None, Auto] = None
     wide: Wide = Wide()
     speeds: tuple[Annotated[float, QuantityField(RATIO, above=0.0)], ...] = (1.0,)
+    loads: tuple[DayLoad, ...] | None = None
     guard: Annotated[int, Field(ge=0, le=1_000_000, strict=True)] = 50
     seed: Annotated[int, Field(ge=0, le=2**63 - 1, strict=True)] = 1
     accuracy: Literal["draft", "standard", "reference"] = "draft"
@@ -103,8 +108,10 @@ class Plan(Part):
 
     @model_validator(mode="after")
     def _whole(self) -> Self:
-        for name in ("hypotheses", "speeds"):
-            values = getattr(self, name)
+        given: dict[str, Sequence[object]] = {"hypotheses": self.hypotheses, "speeds": self.speeds}
+        if self.loads is not None:
+            given["loads"] = [load.size for load in self.loads]
+        for name, values in given.items():
             if not values or len(set(values)) != len(values):
                 raise RuleError("must name at least one, and each once", (name,), list(values))
         for i, chosen in enumerate(self.sets):

@@ -7,7 +7,7 @@ import math
 from jointplay.catalogue.errors import PlanError
 from jointplay.catalogue.plans.cases import entries_of, sequences_of
 from jointplay.catalogue.plans.plan import Plan
-from jointplay.catalogue.plans.plan_parts import SPEED, DrawCounts
+from jointplay.catalogue.plans.plan_parts import DAY_LOAD, SPEED, DrawCounts
 from jointplay.solver.cases.answers import check_band
 from jointplay.solver.cases.causes import check_record
 from jointplay.solver.errors import SettingsError, SolverError
@@ -144,6 +144,9 @@ def plan_lines(plan: Plan, machine: Machine) -> tuple[str, ...]:
     lines.append(f"drive: {', '.join(f'{nominal * factor:.6g}' for factor in plan.speeds)} rpm")
     if plan.speeds != (1.0,):
         lines.append(f"speeds: {', '.join(f'x {speed:g}' for speed in plan.speeds)}")
+    if plan.loads is not None:
+        low, high = DAY_LOAD
+        lines.append(f"loads: {', '.join(map(str, plan.loads))}, each x {low:g} to {high:g}")
     guard = f"; one draw in {plan.guard} again at standard" if plan.guard and plan.accuracy != "standard" else ""
     signal = f"{recipe.sample_rate:g} Hz, {recipe.revolutions:g} revolutions"
     lines.append(f"computed: {plan.accuracy}{guard}; {signal}; seed {plan.seed}")

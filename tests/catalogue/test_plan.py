@@ -97,6 +97,7 @@ def test_what_a_joint_draws_does_not_depend_on_the_numbers_of_others() -> None:
         {"hypotheses": ["healthy", "singles", "triples"]},
         {"sets": [["C", "A", "F"]]},
         {"speeds": [1.0, 0.5]},
+        {"loads": [{"force": 0}, {"force": "50 N"}]},
         {"wide": {"draws": 0.5}},
     ],
 )
@@ -127,6 +128,39 @@ def test_a_draw_is_one_machine_at_every_speed() -> None:
         assert "drive.speed" in differ
         ratio = other.parameters["drive.speed"] / one.parameters["drive.speed"]
         assert 0.5 * 0.97 / 1.03 < ratio < 0.5 * 1.03 / 0.97
+
+
+def test_a_draw_is_one_machine_under_every_load() -> None:
+    """What belongs to the machine is the same; the load is about what the plan says, besides what is drawn of it."""
+    uncertain = {
+        "drive.speed": {"factor_uniform": [0.97, 1.03]},
+        "contact.friction": {"uniform": [0.01, 0.15]},
+        "frame.mass": {"lognormal": 0.1},
+    }
+    wide = {"draws": 1, "uncertain": {"load": {"uniform": [-1, 1]}}}
+    loads = [{"force": 0}, {"force": "-50 N"}]
+    plan = plan_of(uncertain=uncertain, loads=loads, hypotheses=["healthy", "pairs"], wide=wide)
+    entries = entries_of(plan, QUICK_RETURN)
+    half = {(e.hypothesis.label, e.stratum, e.draw): e for e in entries if "loads.0.force.0" not in e.parameters}
+    force: dict[str, list[float]] = {"trusted": [], "wide": []}
+    for loaded in entries:
+        free = half.get((loaded.hypothesis.label, loaded.stratum, loaded.draw))
+        if free is loaded or loaded.stratum == "wide":
+            force["wide"] += [loaded.parameters["loads.0.force.0"]] if loaded.stratum == "wide" else []
+            continue
+        assert free is not None
+        assert (loaded.joints, loaded.clearances, loaded.variant.law) == (
+            free.joints,
+            free.clearances,
+            free.variant.law,
+        )
+        differ = {path for path, value in loaded.parameters.items() if free.parameters.get(path) != value}
+        assert differ == {"drive.speed", "loads.0.force.0"}
+        force["trusted"].append(loaded.parameters["loads.0.force.0"])
+    assert len(force["trusted"]) == sum(e.stratum == "trusted" for e in entries) / 2
+    assert -60.0 <= min(force["trusted"]) < -58.0 and -42.0 < max(force["trusted"]) <= -40.0
+    under = np.array(force["wide"])
+    assert np.sum(np.abs(under) <= 1.0) == np.sum((under >= -61.0) & (under <= -39.0)) == len(under) / 2
 
 
 @pytest.mark.parametrize("other", [{"seed": 2}, {"sample_rate": 14000}, {"uncertain": {}}, {"bands": {"orders": 30}}])

@@ -11,7 +11,7 @@ from jointplay.catalogue.errors import PlanError
 from jointplay.catalogue.plans.cases import entries_of
 from jointplay.catalogue.plans.plan import load_plan, parse_plan
 from jointplay.catalogue.plans.plan_check import check_plan
-from jointplay.solver.machines.machine import parse_machine
+from jointplay.solver.machines.machine import parse_machine, shipped_machine
 
 
 @pytest.mark.parametrize(
@@ -38,6 +38,15 @@ from jointplay.solver.machines.machine import parse_machine
         ("hypotheses: [as-new]", "my.yaml: hypotheses.0: as-new: must be healthy, singles, pairs or triples"),
         ("hypotheses: []", "my.yaml: hypotheses: []: must name at least one, and each once"),
         ("speeds: [1, 1]", "my.yaml: speeds: [1, 1]: must name at least one, and each once"),
+        ("loads: [{force: 1 N}, {force: 1}]", "my.yaml: loads: [1, 1]: must name at least one, and each once"),
+        (
+            "loads: [{force: 1 N, torque: 0}]",
+            "my.yaml: loads.0: {force: 1 N, torque: 0}: must give exactly one of force, torque",
+        ),
+        (
+            "loads: [{force: 2 N m}]",
+            'my.yaml: loads.0.force: 2 N m: "N m" is a torque, must be a force, for example "0.5 kN"',
+        ),
         (
             "uncertain: {contact.friction: {uniform: [2, 1]}}",
             "my.yaml: uncertain.contact.friction.uniform: [2, 1]: must be [low, high] with low <= high",
@@ -83,6 +92,16 @@ def test_paths_the_machine_does_not_have_are_refused() -> None:
     plan = parse_plan({"uncertain": {"contact.frictoin": {"uniform": [0, 1]}}})
     with pytest.raises(PlanError, match=r'^plan: uncertain\.contact\.frictoin: .*did you mean "contact\.friction"\?$'):
         entries_of(plan, QUICK_RETURN)
+
+
+def test_loads_that_the_output_does_not_take_are_refused() -> None:
+    with pytest.raises(
+        PlanError, match=r"^plan: loads\.0\.torque: 5 N m: the output of machine quick-return, link ram, "
+    ):
+        entries_of(plan_of(loads=[{"torque": "5 N m"}]), QUICK_RETURN)
+    swings = shipped_machine("four-bar")
+    with pytest.raises(PlanError, match=r"^plan: loads\.1\.force: 5 N: .*turns on the frame: give a torque$"):
+        entries_of(plan_of(loads=[{"torque": 0}, {"force": "5 N"}]), swings)
 
 
 def test_joints_whose_names_make_two_hypotheses_of_one_name_are_refused() -> None:
