@@ -13,6 +13,7 @@ import gzip
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -29,12 +30,15 @@ import pyuff
 
 from benchmarks.entry_load import serving
 from jointplay.app.http import examples
+from jointplay.app.routes.machines import MACHINE_FILE
 
 CONFIGURATION = Path(__file__).parent.parent / "schemathesis.toml"
 RECORDINGS = Path(__file__).parent.parent / "tests" / "data" / "recordings"
 PHASES = "examples,coverage,fuzzing,stateful"
 COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 API = "/api/v1"
+SPARE = "zz-spare"
+"""Name of a catalogue that may be deleted; it is the last in a list."""
 #: Samples of the recording that is sent as an example: enough to be one, few enough to be sent often.
 SAMPLES, RATE_HZ = 300, 2000.0
 
@@ -112,12 +116,33 @@ def seeded(address: str, folder: Path) -> Path:
             examples.ENTRY: str(entry["key"])[:12],
             "slider-crank": catalogue["name"],
         }
+        # What is on hold nobody deletes, nor the catalogue it was diagnosed with: all else goes on meeting them.
+        made("PUT", f"/measurements/{measurement}/retention", json={"hold": "of this run"})
+        spared = made("POST", "/measurements", files={"file": ("spare.csv", recording)})
+        answered = made("POST", "/diagnoses", json={**body, "measurement": spared, "asset": None})
+        finding = made("POST", f"/diagnoses/{answered}/finding", json=said)
+        dropped = made("POST", "/measurements", files={"file": ("dropped.csv", recording)})
+        build = made("POST", "/builds", json={"machine": catalogue["machine"], "catalogue": "newer"})
+        made("POST", f"/builds/{build}/cancel")
+        made("PUT", "/assets/spare", json={"machine": catalogue["machine"]})
+        made("PUT", f"/machines/{examples.PUT_NAME}", json=MACHINE_FILE)
+        unfound = made("POST", "/diagnoses", json={**body, "measurement": dropped, "asset": None})
+        #: What may be deleted.
+        spare = {
+            examples.MEASUREMENT: dropped,
+            examples.DIAGNOSIS: unfound,
+            examples.FINDING: finding,
+            examples.BUILD: build,
+            asset: "spare",
+            "slider-crank": SPARE,
+        }
         document = client.get("/openapi.json").json()
-    for operations in document["paths"].values():
-        for operation in operations.values():
+    for path, operations in document["paths"].items():
+        for method, operation in operations.items():
+            known = {**real, **spare} if takes_away(method, path) else real
             for parameter in operation.get("parameters", ()):
                 if isinstance(given := parameter.get("example"), str):
-                    parameter["example"] = real.get(given, given)
+                    parameter["example"] = known.get(given, given)
             for media in operation.get("requestBody", {}).get("content", {}).values():
                 if isinstance(given := media.get("example"), dict):
                     media["example"] = {name: swapped(value, real) for name, value in given.items()}
@@ -126,6 +151,21 @@ def seeded(address: str, folder: Path) -> Path:
     file = folder / "openapi.json"
     file.write_text(json.dumps(document), encoding="utf-8")
     return file
+
+
+def takes_away(method: str, path: str) -> bool:
+    """Return whether an operation deletes something for good, or lets it be deleted."""
+    deletes = method == "delete" and not path.endswith(("/acknowledgement", "/webhooks/{key}", "/machines/{name}"))
+    return deletes or (method == "put" and path.endswith("/retention"))
+
+
+def copied(catalogues: Path, folder: Path) -> Path:
+    """Return a copy of a folder of catalogues, with a spare one besides: the fuzz deletes what it can."""
+    shelf = folder / "shelf"
+    shutil.copytree(catalogues, shelf)
+    first = next(path.parent for path in sorted(shelf.glob("*/manifest.json")))
+    shutil.copytree(first, shelf / SPARE)
+    return shelf
 
 
 def universal_file(path: Path) -> str:
@@ -222,8 +262,10 @@ def main() -> None:
     parser.add_argument("--examples", type=int, default=50)
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
-    with tempfile.TemporaryDirectory() as data, serving(given.catalogues, Path(data)) as (address, _, _):
-        found = run(address, given.examples, given.seed)
+    with tempfile.TemporaryDirectory() as folder:
+        shelf = copied(given.catalogues, Path(folder))
+        with serving(shelf, Path(folder) / "data") as (address, _, _):
+            found = run(address, given.examples, given.seed)
     print(found.output)
     print(found.line)
     raise SystemExit(0 if found.whole else 1)

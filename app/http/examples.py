@@ -88,6 +88,6 @@ def with_examples(document: dict[str, Any]) -> dict[str, Any]:
 
 def example_of(method: str, path: str, name: str) -> Any:
     """Return the example of a parameter; ``None`` where there is none."""
-    if (method, path, name) == ("put", "/api/v1/machines/{name}", "name"):
+    if method in ("put", "delete") and (path, name) == ("/api/v1/machines/{name}", "name"):
         return PUT_NAME
     return next((value for each, start, value in PARAMETERS if each == name and path.startswith(start)), None)

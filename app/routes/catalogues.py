@@ -52,7 +52,8 @@ async def remove(request: Request, name: str, why: Why = "", idempotency_key: Id
 
     def act(removal: Removal) -> None:
         offer = shelf.find(name)
-        removal.delete_catalogue(offer.path, offer.description.id, why)
+        same = [each for each in shelf.offers() if each.description.id == offer.description.id]
+        removal.delete_catalogue(offer.path, offer.description.id, why, last=len(same) == 1)
 
     return await delete(request, idempotency_key, act, why)
 

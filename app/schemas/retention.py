@@ -16,7 +16,7 @@ KeepAs = Literal["routine", "baseline", "evidence"]
 class RetentionIn(Shape):
     """What somebody says of how long a recording is kept; what is left out is taken back."""
 
-    model_config = ConfigDict(json_schema_extra={"example": {"keep_as": "evidence", "hold": "claim 2026-117"}})
+    model_config = ConfigDict(json_schema_extra={"example": {"keep_as": "routine"}})
 
     keep_as: Annotated[
         KeepAs | None, Field(default=None, description="Null: what follows from what speaks of the recording.")

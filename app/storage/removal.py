@@ -203,7 +203,7 @@ class Removal:
             self._bury(session, "machine", name, why, "", f"/api/v1/machines/{name}")
         machines.remove(name)
 
-    def delete_catalogue(self, folder: Path, identity: str, why: str) -> None:
+    def delete_catalogue(self, folder: Path, identity: str, why: str, *, last: bool = True) -> None:
         """Delete a catalogue; diagnoses that were made with it stay, but cannot be repeated.
 
         Parameters
@@ -212,6 +212,8 @@ class Removal:
         identity : str
             Its id as it is now.
         why : str
+        last : bool
+            Whether no other folder holds the same.
 
         Raises
         ------
@@ -222,11 +224,11 @@ class Removal:
         """
         going = folder.with_name(f"{GOING}{folder.name}-{time.time_ns()}")
         with CatalogueDirectory(folder).hold_alone():
-            self._bury_catalogue(folder.name, identity, why)
+            self._bury_catalogue(folder.name, identity if last else None, why)
             folder.rename(going)
         shutil.rmtree(going, ignore_errors=True)
 
-    def _bury_catalogue(self, name: str, identity: str, why: str) -> None:
+    def _bury_catalogue(self, name: str, identity: str | None, why: str) -> None:
         with self._database.writing() as session:
             open_builds = select(BuildRow.id).where(BuildRow.catalogue == name, BuildRow.state.not_in(ENDED))
             build = session.scalar(open_builds.limit(1))
@@ -235,7 +237,7 @@ class Removal:
                 raise InUseError(f"catalogue {name}: {rule}", field="catalogue")
             used = select(DiagnosisRow).where(DiagnosisRow.catalogue == identity)
             refuse_held(session, {key for row in session.scalars(used) for key in row.measurements})
-            for each in (name, identity):
+            for each in (name, *([identity] if identity else [])):
                 self._bury(session, "catalogue", each, why, "", f"/api/v1/catalogues/{each}")
 
     def _bury(self, session: Session, kind: Kind, key: str, why: str, sha256: str, place: str) -> None:

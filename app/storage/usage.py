@@ -117,7 +117,7 @@ def measure(store: Store) -> Usage:
         answers = select(func.count(), func.sum(since), func.min(DiagnosisRow.created_at))
         diagnoses, recent, begun = session.execute(answers).one()
         database_bytes = size_of_database(store)
-    classes = {
+    classes: dict[str, Held] = {
         name: Held(int(count), int(total), first, float(new) / days_of(first, moment))
         for name in CLASSES
         for count, total, first, new in [rows.get(name, (0, 0, None, 0))]

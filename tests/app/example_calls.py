@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import shutil
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
@@ -18,6 +19,7 @@ from sqlalchemy import update
 from jointplay.app.errors import (
     BusyError,
     DatabaseGoneError,
+    DeletedError,
     KeyInUseError,
     KeyRevokedError,
     TimeLimitError,
@@ -47,6 +49,12 @@ FIRST = (
     "/api/v1/diagnoses",
     "/api/v1/builds",
 )
+#: What is deleted last, in this order: others speak of it.
+LAST = tuple(
+    f"/api/v1/{each}"
+    for each in ("findings/{key}", "diagnoses/{key}", "assets/{external_id}", "measurements/{key}", "catalogues/{name}")
+)
+PUT = ("/api/v1/assets/{external_id}", "/api/v1/machines/{name}")
 CREATED = {
     "/api/v1/diagnoses": examples.DIAGNOSIS,
     "/api/v1/builds": examples.BUILD,
@@ -92,8 +100,9 @@ class ExampleService:
     """A running service to which examples are sent."""
 
     def __init__(self, shelf: Path, data: Path, worn: bytes) -> None:
+        self._shelf = shelf
         settings: dict[str, Any] = {
-            "catalogues": shelf,
+            "catalogues": data / "shelf",  # a copy: it is deleted, too
             "data": data,
             "workers": 1,
             "builds": 0,
@@ -108,6 +117,7 @@ class ExampleService:
         locked = ServiceSettings(**{**settings, "data": data / "locked"}, keys="required")
         self.locked = enter(httpx.Client(base_url=enter(serving(locked)), timeout=300))
         self._data, self._worn = data, worn
+        self.put_catalogues()
         self.document: dict[str, Any] = self.client.get("/openapi.json").json()
         #: Example of an id, or of an entry's key, to the real one.
         self.real: dict[str, str] = {}
@@ -128,7 +138,10 @@ class ExampleService:
 
         def order(entry: tuple[str, str, dict[str, Any]]) -> tuple[bool, bool, int, bool]:
             method, path, _ = entry
-            place = FIRST.index(path) if path in FIRST else len(FIRST)
+            if method == "delete":
+                place = LAST.index(path) if path in LAST else -1
+            else:
+                place = FIRST.index(path) if path in FIRST else len(FIRST)
             return method == "delete", method not in ("put", "post"), place, path.endswith("/cancel")
 
         return sorted(found, key=order)
@@ -199,10 +212,13 @@ class ExampleService:
 
     def refusals(self) -> Iterator[tuple[str, str, str, httpx.Response]]:
         """Method, path, status (or ``default``) and the answer, for every error that an operation says it has."""
+        self.put_catalogues()
+        for method, path, operation in self.operations():  # all of it was there, and was deleted
+            call = next(self.calls(method, path, operation))
+            if (method == "post" and path in CREATED) or (method == "put" and path in PUT):
+                self.learn(Answered(call, call.made(self.client)))
         for method, path, operation in self.operations():
             call = next(self.calls(method, path, operation))
-            if (method, path) == ("post", FIRST[0]):
-                self.learn(Answered(call, call.made(self.client)))  # there was one, and it was forgotten
             for status in operation["responses"]:
                 if status == "default":
                     if path.startswith("/api/"):  # the others are open
@@ -221,6 +237,10 @@ class ExampleService:
             return call.made(self.client)
         return WRONG[status](call, operation).made(self.client)
 
+    def put_catalogues(self) -> None:
+        """Let the catalogues be there."""
+        shutil.copytree(self._shelf, self._data / "shelf", dirs_exist_ok=True)
+
     def failing(self, call: Call, operation: dict[str, Any], status: int) -> Exception | None:
         """What goes wrong inside where an error is not the client's fault, or only at that moment."""
         keyed = any(each["name"] == "Idempotency-Key" for each in operation.get("parameters", ()))
@@ -234,6 +254,9 @@ class ExampleService:
             if status == 409:
                 return CatalogueMismatchError("slider-crank", "has layout 1; this program reads layout 2")
             return CatalogueFileError("slider-crank", "does not match its checksum: verify the catalogue")
+        if status == 410:
+            said = "was deleted at 2026-11-26T08:00:00Z by key 3f9c21d07a55: the customer has left"
+            return DeletedError(f"measurement {examples.MEASUREMENT}: {said}")
         computing = "504" in operation["responses"]
         return {
             500: WorkerDiedError("the process that computed this ended early, perhaps for want of memory"),
@@ -291,20 +314,16 @@ def wrong(call: Call, operation: dict[str, Any]) -> Call:
     if call.path.endswith("/rotate"):  # everything in it may be left out
         return replace(call, sent={"json": {"days": 0}})
     if "json" in call.sent:
-        body = dict(call.sent["json"])
-        body.pop(
-            next(
-                name
-                for name in ("machine", "catalogue", "links", "url", "at", "measured_at", "state", "name")
-                if name in body
-            )
-        )
+        needed = ("machine", "catalogue", "links", "url", "at", "measured_at", "state", "name")
+        body = dict.fromkeys(call.sent["json"], "nonsense")
+        if named := [name for name in needed if name in body]:
+            body = {name: value for name, value in call.sent["json"].items() if name != named[0]}
         return replace(call, sent={"json": body})
     if "files" in call.sent:
         return replace(call, sent={"files": {"sample_rate": (None, "10 kHz")}})
     names = [each["name"] for each in operation.get("parameters", ()) if each["in"] == "query"]
     if names:
-        return replace(call, query={names[-1]: "0"})
+        return replace(call, query={names[-1]: "0" if call.method != "delete" else "x" * 201})
     return replace(call, where={**call.where, "external_id": ".press"})
 
 

@@ -102,4 +102,6 @@ def test_every_link_leads_to_an_operation_that_takes_it(document: dict[str, Any]
     known = {operations[key][0] for key in by_name - reached}
     # What is put has a name that its sender gives.
     acknowledged = "/api/v1/assets/{external_id}/acknowledgement"
-    assert known == {"/api/v1/machines/{name}", "/api/v1/assets/{external_id}", acknowledged, ASSET_MEASUREMENT}
+    retention = "/api/v1/measurements/{key}/retention"
+    put = {"/api/v1/machines/{name}", "/api/v1/assets/{external_id}", acknowledged, ASSET_MEASUREMENT, retention}
+    assert known == put

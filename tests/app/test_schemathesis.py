@@ -7,13 +7,19 @@ from pathlib import Path
 
 from small_service import serving
 
-from benchmarks.api_fuzz import Found, run
+from benchmarks.api_fuzz import Found, copied, run
 from jointplay.app.settings import ServiceSettings
 
 
 def test_every_operation_answers_as_documented(shelf: Path, tmp_path: Path) -> None:
     settings = ServiceSettings(
-        catalogues=shelf, data=tmp_path, max_upload_mb=1.0, workers=1, builds=0, keys="off", rate_burst=1e6
+        catalogues=copied(shelf, tmp_path),
+        data=tmp_path / "data",
+        max_upload_mb=1.0,
+        workers=1,
+        builds=0,
+        keys="off",
+        rate_burst=1e6,
     )
     with serving(settings) as address:
         found = run(address, examples=1, phases="examples,coverage,stateful")
