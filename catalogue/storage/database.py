@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -142,6 +142,8 @@ class Database:
         Whether a transaction is on the disk when it ends, or may be lost with the power.
     connect : mapping
         Options of connections to PostgreSQL.
+    read_json : callable, optional
+        Makes values of the text of JSON columns.
 
     Attributes
     ----------
@@ -154,10 +156,20 @@ class Database:
         Its driver is not installed.
     """
 
-    def __init__(self, url: URL, *, wait: float, durable: bool, connect: Mapping[str, Any]) -> None:
+    def __init__(
+        self,
+        url: URL,
+        *,
+        wait: float,
+        durable: bool,
+        connect: Mapping[str, Any],
+        read_json: Callable[[str | bytes], Any] | None = None,
+    ) -> None:
         self.is_sqlite = url.get_backend_name() == "sqlite"
         self.name = str(url.database) if self.is_sqlite else url.set(drivername="postgresql").render_as_string()
         options: dict[str, Any] = {} if self.is_sqlite else {"pool_pre_ping": True, "connect_args": dict(connect)}
+        if read_json is not None:
+            options["json_deserializer"] = read_json
         try:
             # Errors are logged, values of a statement are not: some are secrets.
             self.engine = create_engine(url, hide_parameters=True, **options)
