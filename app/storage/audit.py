@@ -72,6 +72,9 @@ class AuditEndRow(Base):
     hash: Mapped[str] = mapped_column(String(64))
 
 
+ROWS, END = Base.metadata.tables["audit"], Base.metadata.tables["audit_end"]
+
+
 def attend(database: ServiceDatabase) -> None:
     """Let transactions of a database end with the notes that were made in them."""
     database.session.configure(info={_ATTENDED: database})
@@ -145,29 +148,23 @@ def write(session: Session) -> None:
         return
     session.flush()  # whatever else has to be locked is locked before
     who, moment = actor(), now()
+    named = {
+        **{"key": who.key, "person": None if who.person is None else who.person[:200]},
+        **{"address": who.address[:64], "request_id": who.request_id},
+    }
     number, previous = end_of(session)
     rows = []
     for action, kind, object, before, after in notes:
         number += 1
-        row = AuditRow(
-            number=number,
-            at=moment,
-            action=action,
-            kind=kind,
-            object=object,
-            key=who.key,
-            person=None if who.person is None else who.person[:200],
-            address=who.address[:64],
-            request_id=who.request_id,
-            before=before,
-            after=after,
-            previous=previous,
-        )
-        content = row.content
+        content = {
+            **{"number": number, "at": moment, "action": action, "kind": kind, "object": object},
+            **named,
+            **{"before": before, "after": after, "previous": previous},
+        }
         previous = checksum(content)
         rows.append({**content, "hash": previous})
-    session.execute(insert(AuditRow), rows)
-    session.execute(update(AuditEndRow).values(number=number, hash=previous))
+    session.execute(insert(ROWS), rows)
+    session.execute(update(END).values(number=number, hash=previous))
 
 
 def end_of(session: Session) -> tuple[int, str]:

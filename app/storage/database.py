@@ -16,6 +16,7 @@ from sqlalchemy.exc import OperationalError
 from sqlalchemy.orm import DeclarativeBase, Session, sessionmaker
 
 from jointplay.app.errors import AppError, BadFieldError, NotReadyError
+from jointplay.app.storage.checksums import read_document
 from jointplay.catalogue.errors import CatalogueFileError
 from jointplay.catalogue.storage import database
 from jointplay.catalogue.storage.database import Database
@@ -105,7 +106,7 @@ class ServiceDatabase(Database):
         waits = {"connect_timeout": round(WAIT_S), "tcp_user_timeout": round(WAIT_S * 1000)}
         try:
             # An answer that says "stored" outlives a loss of power.
-            super().__init__(url, wait=WAIT_S, durable=True, connect=waits, pool_wait=POOL_S)
+            super().__init__(url, wait=WAIT_S, durable=True, connect=waits, pool_wait=POOL_S, read_json=read_document)
         except CatalogueFileError as error:
             raise refusal(error) from None
         self.session = sessionmaker(self.engine, expire_on_commit=False)

@@ -14,7 +14,7 @@ from sqlalchemy.orm import DeclarativeBase, Mapped, Session, mapped_column
 
 from jointplay.app.actor import actor
 from jointplay.app.errors import DamagedRowError
-from jointplay.app.storage.checksums import checksum
+from jointplay.app.storage.checksums import row_checksum
 from jointplay.app.storage.database import ServiceDatabase, UtcDateTime, is_id
 from jointplay.app.storage.told import Told
 from jointplay.catalogue.diagnosing.answer import Diagnosis
@@ -43,14 +43,14 @@ class Sealed:
     def seal(cls, values: Mapping[str, Any]) -> dict[str, Any]:
         """Return the values of a row that is made, with who makes it and the checksum of all."""
         made = {"made_by": actor().name[:256], **values}
-        return {**made, "checksum": checksum({name: made[name] for name in cls.SEALED})}
+        return {**made, "checksum": row_checksum({name: made[name] for name in cls.SEALED})}
 
     def check(self) -> None:
         """Refuse a row of which something is damaged that stands in other rows."""
 
     def digest(self) -> str:
         """Return the checksum of what the row holds."""
-        return checksum({name: getattr(self, name) for name in self.SEALED})
+        return row_checksum({name: getattr(self, name) for name in self.SEALED})
 
 
 @event.listens_for(Sealed, "load", propagate=True)

@@ -3,7 +3,7 @@
 import sqlalchemy as sa
 from alembic import op
 
-from jointplay.app.storage.checksums import checksum
+from jointplay.app.storage.checksums import checksum, row_checksum
 from jointplay.app.storage.database import UtcDateTime
 
 revision = "4"
@@ -79,6 +79,6 @@ def seal(connection: sa.Connection, name: str, columns: dict[str, type[sa.types.
         if not rows:
             return
         for row in rows:
-            found = checksum({"made_by": None, **{each: row[each] for each in columns}})
+            found = row_checksum({"made_by": None, **{each: row[each] for each in columns}})
             connection.execute(sa.update(table).where(table.c.number == row["number"]).values(checksum=found))
         last = rows[-1]["number"]
