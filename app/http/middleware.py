@@ -12,6 +12,7 @@ import re
 import secrets
 import time
 from collections.abc import Iterator, Sequence
+from datetime import timedelta
 from typing import Any
 
 import psutil
@@ -31,6 +32,7 @@ from jointplay.app.http.uploads import MULTIPART
 from jointplay.app.metrics import Metrics
 from jointplay.app.scopes import API
 from jointplay.app.service import Service
+from jointplay.app.storage.keys import Keys
 
 POLICY = "; ".join(
     (
@@ -63,6 +65,8 @@ RECORDING_BYTES = 16_000_000
 log = logging.getLogger(__name__)
 HEADER = "X-Request-ID"
 SAFE = re.compile(r"[A-Za-z0-9._-]{1,64}")
+EXPIRING = timedelta(days=14)
+"""Keys that end so soon are counted: somebody has to renew them."""
 GONE = 499
 """Status in the log of a request whose client went before there was an answer."""
 
@@ -190,11 +194,13 @@ class State(Collector):
     def _builds(self) -> Iterator[Metric]:
         try:
             counts, running = self._service.builds.counts()
+            expiring = Keys(self._service.store.database).expiring(EXPIRING)
         except SQLAlchemyError as error:
-            log.warning("metrics without builds: %s", str(error).partition("\n")[0])
+            log.warning("metrics without builds and keys: %s", str(error).partition("\n")[0])
             yield gauge("database_up", "Whether the database answers.", 0)
             return
         yield gauge("database_up", "Whether the database answers.", 1)
+        yield gauge("keys_expiring", f"Keys that hold, for {EXPIRING.days} days at most.", expiring)
         states = GaugeMetricFamily("jointplay_builds", "Builds of all servers of the database.", labels=["state"])
         for state, count in counts.items():
             states.add_metric([state], count)
