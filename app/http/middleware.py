@@ -26,7 +26,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from jointplay.app import logs
 from jointplay.app.errors import BadRequestError, NotReadyError, SlowRequestError, UploadTooLargeError
-from jointplay.app.http.gate import address
+from jointplay.app.http.gate import address, host_name
 from jointplay.app.http.handlers import handle, path_of
 from jointplay.app.http.uploads import MULTIPART
 from jointplay.app.metrics import Metrics
@@ -83,7 +83,7 @@ class SecurityHeaders:
         async def with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
                 headers = MutableHeaders(scope=message)
-                for name, value in (TLS_HEADERS if scope["scheme"] == "https" else HEADERS).items():
+                for name, value in (TLS_HEADERS if is_secured(scope) else HEADERS).items():
                     headers.setdefault(name, value)  # a page of its own kind may say something stricter
                 if headers.get("content-type", "").startswith("text/html"):
                     # Pages and their parts share addresses; going back must not show one for the other.
@@ -91,6 +91,11 @@ class SecurityHeaders:
             await send(message)
 
         await self._app(scope, receive, with_headers if scope["type"] == "http" else send)
+
+
+def is_secured(scope: Scope) -> bool:
+    """Return whether a client speaks TLS with a name that is this service's: localhost is that of others, too."""
+    return scope["scheme"] == "https" and host_name(Headers(scope=scope).get("host", "")) != "localhost"
 
 
 class BodyLimit:
