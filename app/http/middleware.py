@@ -12,6 +12,7 @@ import re
 import secrets
 import time
 from collections.abc import Iterator, Sequence
+from datetime import timedelta
 from typing import Any
 
 import psutil
@@ -25,12 +26,13 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from jointplay.app import logs
 from jointplay.app.errors import BadRequestError, NotReadyError, SlowRequestError, UploadTooLargeError
-from jointplay.app.http.gate import address
+from jointplay.app.http.gate import address, host_name
 from jointplay.app.http.handlers import handle, path_of
 from jointplay.app.http.uploads import MULTIPART
 from jointplay.app.metrics import Metrics
 from jointplay.app.scopes import API
 from jointplay.app.service import Service
+from jointplay.app.storage.keys import Keys
 from jointplay.app.storage.rows import now
 from jointplay.app.storage.webhooks import Webhooks
 
@@ -67,7 +69,8 @@ HEADER = "X-Request-ID"
 SAFE = re.compile(r"[A-Za-z0-9._-]{1,64}")
 DAMAGE = ("recording-missing", "recording-damaged", "row-damaged")
 """Problems that say that something kept is damaged."""
-
+EXPIRING = timedelta(days=14)
+"""Keys that end so soon are counted: somebody has to renew them."""
 GONE = 499
 """Status in the log of a request whose client went before there was an answer."""
 
@@ -84,7 +87,7 @@ class SecurityHeaders:
         async def with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
                 headers = MutableHeaders(scope=message)
-                for name, value in (TLS_HEADERS if scope["scheme"] == "https" else HEADERS).items():
+                for name, value in (TLS_HEADERS if is_secured(scope) else HEADERS).items():
                     headers.setdefault(name, value)  # a page of its own kind may say something stricter
                 if headers.get("content-type", "").startswith("text/html"):
                     # Pages and their parts share addresses; going back must not show one for the other.
@@ -92,6 +95,11 @@ class SecurityHeaders:
             await send(message)
 
         await self._app(scope, receive, with_headers if scope["type"] == "http" else send)
+
+
+def is_secured(scope: Scope) -> bool:
+    """Return whether a client speaks TLS with a name that is this service's: localhost is that of others, too."""
+    return scope["scheme"] == "https" and host_name(Headers(scope=scope).get("host", "")) != "localhost"
 
 
 class BodyLimit:
@@ -196,11 +204,13 @@ class State(Collector):
         try:
             counts, running = self._service.builds.counts()
             backlog = Webhooks(self._service.store.database).backlog(now())
+            expiring = Keys(self._service.store.database).expiring(EXPIRING)
         except SQLAlchemyError as error:
             log.warning("metrics without the database: %s", str(error).partition("\n")[0])
             yield gauge("database_up", "Whether the database answers.", 0)
             return
         yield gauge("database_up", "Whether the database answers.", 1)
+        yield gauge("keys_expiring", f"Keys that hold, for {EXPIRING.days} days at most.", expiring)
         states = GaugeMetricFamily("jointplay_builds", "Builds of all servers of the database.", labels=["state"])
         for state, count in counts.items():
             states.add_metric([state], count)

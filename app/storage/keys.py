@@ -12,7 +12,7 @@ from datetime import datetime, timedelta
 from typing import Literal
 
 from cachetools import TTLCache
-from sqlalchemy import String, delete, select, update
+from sqlalchemy import String, delete, func, select, update
 from sqlalchemy.orm import Mapped, Session, mapped_column
 
 from jointplay.app.errors import KeyRevokedError, UnauthorizedError, UnknownKeyError
@@ -153,6 +153,12 @@ class Keys:
         """Return all keys, the oldest first, those included that no longer hold."""
         with self._database.reading() as session:
             return self._with_use(session, session.scalars(select(ApiKeyRow).order_by(ApiKeyRow.created_at)).all())
+
+    def expiring(self, within: timedelta) -> int:
+        """Return how many keys hold now and will not for much longer."""
+        soon = ApiKeyRow.revoked_at.is_(None), ApiKeyRow.expires_at.between(now(), now() + within)
+        with self._database.reading() as session:
+            return session.scalar(select(func.count()).select_from(ApiKeyRow).where(*soon)) or 0
 
     def key(self, identity: str) -> Key:
         """Return a key, also one that no longer holds.

@@ -7,6 +7,7 @@ import json
 import logging
 from collections.abc import Iterator
 from datetime import timedelta
+from functools import partial
 from pathlib import Path
 from unittest import mock
 
@@ -27,6 +28,8 @@ from jointplay.app.storage.rows import now
 from jointplay.app.storage.store import Store
 
 API = "/api/v1"
+# Whatever else the computer does.
+get, post, ask = (partial(each, timeout=300) for each in (httpx.get, httpx.post, httpx.request))
 
 
 @pytest.fixture
@@ -210,60 +213,60 @@ def test_without_a_key_nothing_is_told(guarded: tuple[str, Keys]) -> None:
     address, keys = guarded
     token = make(keys, Scope.READ)
     for path in (f"{API}/machines", f"{API}/diagnoses", "/metrics", "/nowhere", f"{API}/machines?key={token}"):
-        refused = httpx.get(address + path)
+        refused = get(address + path)
         assert refused.status_code == 401, path
         assert refused.headers["content-type"] == "application/problem+json"
         assert refused.headers["www-authenticate"] == 'Bearer realm="jointplay"'
         assert refused.headers["x-content-type-options"] == "nosniff"
     for path in ("/healthz", "/openapi.json", "/static/page.css"):
-        assert httpx.get(address + path).status_code == 200, path
+        assert get(address + path).status_code == 200, path
 
 
 def test_a_key_opens_what_its_scopes_say(guarded: tuple[str, Keys]) -> None:
     address, keys = guarded
     reader = {"Authorization": f"Bearer {make(keys, Scope.READ)}"}
-    assert httpx.get(f"{address}{API}/machines", headers=reader).status_code == 200
-    assert httpx.get(f"{address}{API}/machines", headers={"X-API-Key": make(keys, Scope.READ)}).status_code == 200
-    refused = httpx.post(f"{address}{API}/diagnoses", headers=reader, json={})
+    assert get(f"{address}{API}/machines", headers=reader).status_code == 200
+    assert get(f"{address}{API}/machines", headers={"X-API-Key": make(keys, Scope.READ)}).status_code == 200
+    refused = post(f"{address}{API}/diagnoses", headers=reader, json={})
     assert refused.status_code == 403
     assert 'error="insufficient_scope", scope="match"' in refused.headers["www-authenticate"]
     assert "match" in refused.json()["detail"]
     matcher = {"Authorization": f"Bearer {make(keys, Scope.MATCH)}"}
-    assert httpx.post(f"{address}{API}/diagnoses", headers=matcher, json={}).status_code == 422
-    assert httpx.get(f"{address}{API}/machines", headers=matcher).status_code == 403
+    assert post(f"{address}{API}/diagnoses", headers=matcher, json={}).status_code == 422
+    assert get(f"{address}{API}/machines", headers=matcher).status_code == 403
 
 
 def test_keys_over_the_interface(guarded: tuple[str, Keys]) -> None:
     address, keys = guarded
     admin = {"Authorization": f"Bearer {make(keys, Scope.ADMIN, Scope.READ)}"}
     place = f"{address}{API}/keys"
-    made = httpx.post(place, headers=admin, json={"name": "historian", "scopes": ["read"], "days": 90})
+    made = post(place, headers=admin, json={"name": "historian", "scopes": ["read"], "days": 90})
     assert made.status_code == 201
     document = made.json()
     token = document.pop("key")
     assert made.headers["location"] == f"{API}/keys/{document['id']}"
     assert (document["state"], document["used_at"], document["scopes"]) == ("valid", None, ["read"])
     reader = {"Authorization": f"Bearer {token}"}
-    assert httpx.get(f"{address}{API}/machines", headers=reader).status_code == 200
-    shown = httpx.get(f"{place}/{document['id']}", headers=admin)
+    assert get(f"{address}{API}/machines", headers=reader).status_code == 200
+    shown = get(f"{place}/{document['id']}", headers=admin)
     assert shown.json() == {**document, "used_at": shown.json()["used_at"]} and shown.json()["used_at"] is not None
-    newest = httpx.get(place, headers=admin, params={"limit": 1}).json()
+    newest = get(place, headers=admin, params={"limit": 1}).json()
     assert [each["id"] for each in newest["items"]] == [document["id"]]
-    rest = httpx.get(place, headers=admin, params={"cursor": newest["next_cursor"], "limit": 500}).json()
+    rest = get(place, headers=admin, params={"cursor": newest["next_cursor"], "limit": 500}).json()
     assert len(rest["items"]) == len(keys.all()) - 1 and rest["next_cursor"] is None
     assert token.split("_", 2)[2] not in shown.text + json.dumps(rest) + json.dumps(newest)
-    rotated = httpx.post(f"{place}/{document['id']}/rotate", headers=admin, json={"grace_hours": 1})
+    rotated = post(f"{place}/{document['id']}/rotate", headers=admin, json={"grace_hours": 1})
     assert rotated.status_code == 200
     renewed = {"Authorization": f"Bearer {rotated.json()['key']}"}
     for headers in (reader, renewed):
-        assert httpx.get(f"{address}{API}/machines", headers=headers).status_code == 200
-    assert httpx.post(f"{place}/{document['id']}/revoke", headers=admin).json()["state"] == "revoked"
+        assert get(f"{address}{API}/machines", headers=headers).status_code == 200
+    assert post(f"{place}/{document['id']}/revoke", headers=admin).json()["state"] == "revoked"
     for headers in (reader, renewed):
-        assert httpx.get(f"{address}{API}/machines", headers=headers).status_code == 401
-    gone = httpx.post(f"{place}/{document['id']}/rotate", headers=admin, json={})
+        assert get(f"{address}{API}/machines", headers=headers).status_code == 401
+    gone = post(f"{place}/{document['id']}/rotate", headers=admin, json={})
     assert (gone.status_code, gone.json()["type"]) == (409, "urn:jointplay:problem:key-revoked")
-    assert httpx.get(f"{place}/unknown", headers=admin).status_code == 404
-    assert httpx.get(place, headers=renewed).status_code == 401
+    assert get(f"{place}/unknown", headers=admin).status_code == 404
+    assert get(place, headers=renewed).status_code == 401
 
 
 @pytest.mark.parametrize(
@@ -280,7 +283,7 @@ def test_keys_over_the_interface(guarded: tuple[str, Keys]) -> None:
 def test_keys_that_cannot_be(guarded: tuple[str, Keys], body: dict[str, object], field: str) -> None:
     address, keys = guarded
     admin = {"Authorization": f"Bearer {make(keys, Scope.ADMIN, Scope.READ)}"}
-    refused = httpx.post(f"{address}{API}/keys", headers=admin, json=body)
+    refused = post(f"{address}{API}/keys", headers=admin, json=body)
     assert (refused.status_code, refused.json()["errors"][0]["field"]) == (422, field)
 
 
@@ -289,16 +292,16 @@ def test_nobody_hands_out_more_than_they_have(guarded: tuple[str, Keys]) -> None
     admin = {"Authorization": f"Bearer {make(keys, Scope.ADMIN)}"}
     other = keys.find(make(keys, Scope.MATCH))
     for path, body in (("", {"name": "x", "scopes": ["admin", "match"]}), (f"/{other.id}/rotate", {})):
-        refused = httpx.post(f"{address}{API}/keys{path}", headers=admin, json=body)
+        refused = post(f"{address}{API}/keys{path}", headers=admin, json=body)
         assert refused.status_code == 403
         assert refused.json()["detail"].startswith("scopes: match: ")
-    assert httpx.post(f"{address}{API}/keys/{other.id}/revoke", headers=admin).status_code == 200
+    assert post(f"{address}{API}/keys/{other.id}/revoke", headers=admin).status_code == 200
 
 
 def test_a_browser_signs_in_and_out(guarded: tuple[str, Keys]) -> None:
     address, keys = guarded
     token = make(keys, Scope.READ, Scope.MATCH)
-    with httpx.Client(base_url=address, headers={"Accept": "text/html", "Origin": address}) as browser:
+    with httpx.Client(base_url=address, timeout=300, headers={"Accept": "text/html", "Origin": address}) as browser:
         sent = browser.get("/diagnoses/7")
         assert (sent.status_code, sent.headers["location"]) == (303, "/sign-in?next=%2Fdiagnoses%2F7")
         shown = browser.get(sent.headers["location"])
@@ -339,20 +342,20 @@ def test_signing_in_leads_back(
 ) -> None:
     address, keys = guarded
     sent = {name: value.format(address=address) for name, value in headers.items()}
-    refused = httpx.request(method, address + path, headers={"Accept": "text/html", **sent})
+    refused = ask(method, address + path, headers={"Accept": "text/html", **sent})
     script = "HX-Request" in headers
     assert refused.status_code == (401 if script else 303)
     leads = httpx.URL(refused.headers["hx-redirect" if script else "location"])
     assert (leads.host, leads.path) == ("", "/sign-in")
     assert leads.params["next"] == (place or path)
-    entered = httpx.post(f"{address}/sign-in", data={"key": make(keys, Scope.READ), "next": leads.params["next"]})
+    entered = post(f"{address}/sign-in", data={"key": make(keys, Scope.READ), "next": leads.params["next"]})
     assert entered.headers["location"] == (place or path)
 
 
 @pytest.mark.parametrize("place", ["//evil.example", "https://evil.example", "/\\evil.example", "/\tx"])
 def test_signing_in_leads_to_no_other_site(guarded: tuple[str, Keys], place: str) -> None:
     address, keys = guarded
-    entered = httpx.post(f"{address}/sign-in", data={"key": make(keys, Scope.READ), "next": place})
+    entered = post(f"{address}/sign-in", data={"key": make(keys, Scope.READ), "next": place})
     assert (entered.status_code, entered.headers["location"]) == (303, "/")
 
 
@@ -360,10 +363,10 @@ def test_secrets_are_not_logged(guarded: tuple[str, Keys], caplog: pytest.LogCap
     address, keys = guarded
     token = make(keys, Scope.READ)
     with caplog.at_level(logging.DEBUG):
-        session = httpx.post(f"{address}/sign-in", data={"key": token}).cookies["jointplay_session"]
-        httpx.get(f"{address}{API}/machines", headers={"X-API-Key": token})
-        httpx.get(f"{address}{API}/machines", headers={"Authorization": f"Bearer {token}x"})
-        httpx.get(address, cookies={"jointplay_session": session})
+        session = post(f"{address}/sign-in", data={"key": token}).cookies["jointplay_session"]
+        get(f"{address}{API}/machines", headers={"X-API-Key": token})
+        get(f"{address}{API}/machines", headers={"Authorization": f"Bearer {token}x"})
+        get(address, cookies={"jointplay_session": session})
     ours = [record.getMessage() for record in caplog.records if not record.name.startswith(("httpcore", "httpx"))]
     assert not any(token.split("_", 2)[2] in line or session in line for line in ours)
 

@@ -162,7 +162,7 @@ def test_a_whole_service_logs_json_and_no_secret(
     given = {"keys": "required", "log_format": "json", "log_level": "debug", "webhooks_private": "true"}
     with service_process(tmp_path, **given) as running:
         with client_of(running) as client:
-            client.get(f"{API}/machines", params={"key": token})
+            client.get(f"{API}/machines", params={"key": token}, headers={"X-Forwarded-For": "192.0.2.1"})
             client.get(f"{API}/machines/{token}", headers={"X-API-Key": token})
             client.get(f"{API}/machines", headers={"Authorization": f"Bearer {token}x"})
             session = client.post("/sign-in", data={"key": token, "next": "/"}).cookies["jointplay_session"]
@@ -200,6 +200,7 @@ def test_a_whole_service_logs_json_and_no_secret(
     assert ("POST", f"{API}/diagnoses", 201, key.id) in shown
     assert all(entry["duration_ms"] >= 0 and entry["request_id"] for entry in requests)
     assert requests[0]["problem"] == "unauthorized"
+    assert {entry["address"] for entry in requests} == {"127.0.0.1"}  # this computer is no proxy here
     workers = [entry for entry in entries if entry["logger"] == "jointplay.app.jobs.workers"]
     assert {entry["request_id"] for entry in workers if "diagnose" in entry["message"]} == {"diagnosis-1"}
     for logger in ("jointplay.app.jobs.build_runner", "jointplay.app.jobs.build_process"):

@@ -167,10 +167,14 @@ def test_counts_need_a_key_that_may_read(tmp_path: Path) -> None:
     store = Store(settings.data)
     keys = Keys(store.database)
     tokens = [keys.create("k", frozenset({scope}), timedelta(hours=1))[1] for scope in (Scope.READ, Scope.MATCH)]
+    keys.create("holds on", frozenset({Scope.READ}), timedelta(days=15))
+    keys.create("is over", frozenset({Scope.READ}), timedelta(days=-1))
+    keys.revoke(keys.create("is taken back", frozenset({Scope.READ}), timedelta(days=1))[0].id)
     store.close()
     with asking(settings) as client:
-        statuses = [
-            client.get("/metrics", headers={} if token is None else {"Authorization": f"Bearer {token}"}).status_code
+        answers = [
+            client.get("/metrics", headers={} if token is None else {"Authorization": f"Bearer {token}"})
             for token in (None, *tokens)
         ]
-    assert statuses == [401, 200, 403]
+    assert [answer.status_code for answer in answers] == [401, 200, 403]
+    assert value(families(answers[1].text), "keys_expiring") == 2

@@ -35,6 +35,7 @@ def behind(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Keys
         data=folder,
         workers=1,
         keys="required",
+        hosts="127.0.0.1,localhost,press.example",
         proxies=f"{PROXY}, 10.7.0.0/16",
         people="*=read; fitters=match read; chiefs=admin",
         rate_limit_per_s=0.001,
@@ -92,11 +93,17 @@ def test_whose_request_it_is(
 def test_the_scheme_of_the_outside(behind: tuple[str, Keys]) -> None:
     service, keys = behind
     token = keys.create("test", frozenset({Scope.READ}), timedelta(days=1))[1]
-    for source, client, secure in ((PROXY, "192.0.2.21", True), (STRANGER, "", False)):
-        forwarded = {"X-Forwarded-Proto": "https", "X-Forwarded-For": client}
+    for number, (source, host, secure, kept) in enumerate(
+        (
+            (PROXY, "press.example", True, "max-age=31536000"),
+            (PROXY, "localhost:8443", True, None),  # a name of every other service of the computer
+            ("127.0.0.6", "press.example", False, None),
+        )
+    ):
+        forwarded = {"X-Forwarded-Proto": "https", "X-Forwarded-For": f"192.0.2.{21 + number}", "Host": host}
         answer = ask(service, source, forwarded, "/sign-in", method="POST", data={"key": token})
         assert ("; Secure" in answer.headers["set-cookie"]) is secure
-        assert answer.headers.get("strict-transport-security") == ("max-age=31536000" if secure else None)
+        assert answer.headers.get("strict-transport-security") == kept
 
 
 def test_each_client_behind_a_proxy_has_a_limit_of_its_own(behind: tuple[str, Keys]) -> None:

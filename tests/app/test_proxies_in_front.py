@@ -18,11 +18,11 @@ import pytest
 from proxy_processes import FOLDER, caddy, certificates, nginx, oauth2_proxy, program
 from small_service import running
 
-from jointplay.app.http.middleware import TLS_HEADERS
 from jointplay.app.logs import MEMBERS
 from jointplay.app.main import create_app
 from jointplay.app.scopes import API, Scope
 from jointplay.app.settings import ServiceSettings
+from jointplay.app.storage.build_queue import BuildQueue
 
 CLIENT = "127.0.0.9"
 MADE_UP = [
@@ -44,17 +44,23 @@ class Front:
         Address by the way to sign in; that of nginx, and its plain one.
     trust : ssl.SSLContext
     token : str
-        A key for reading and for keys.
+        A key for reading.
+    build : str
+        Id of a build that nobody begins.
     """
 
     places: dict[str, str]
     trust: ssl.SSLContext
     token: str
+    build: str
+
+    def client(self) -> httpx.Client:
+        """A client at an address that is none of a proxy."""
+        return httpx.Client(transport=httpx.HTTPTransport(verify=self.trust, local_address=CLIENT), timeout=300)
 
     def ask(self, way: str, path: str, headers: Any = (), method: str = "GET", **sent: Any) -> httpx.Response:
-        """Send a request from an address that is none of a proxy."""
-        transport = httpx.HTTPTransport(verify=self.trust, local_address=CLIENT)
-        with httpx.Client(transport=transport, timeout=300) as client:
+        """Send a request."""
+        with self.client() as client:
             return client.request(method, self.places[way] + path, headers=list(headers), **sent)
 
 
@@ -72,6 +78,7 @@ def front(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Front]:
         keys="required",
         proxies="127.0.0.1",
         people="*=read; fitters=match",
+        builds=0,
     )
     people = {
         "anna": {"X-Auth-Request-User": "anna", "X-Auth-Request-Groups": "office,fitters"},
@@ -89,8 +96,10 @@ def front(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Front]:
         nginx(service, folder / "nginx", tls) as (secure, plain),
     ):
         token = application.state.keys.create("test", frozenset({Scope.READ}), timedelta(days=1))[1]
+        queue = BuildQueue(application.state.service.store.database)
+        build = queue.add({"name": "m"}, {"name": "p"}, "h" * 64, "c", None).id
         trust = ssl.create_default_context(cafile=str(authority))
-        yield Front({**by_way, "nginx": secure, "plain": plain}, trust, token)
+        yield Front({**by_way, "nginx": secure, "plain": plain}, trust, token, build)
 
 
 def line_of(caplog: pytest.LogCaptureFixture, path: str) -> dict[str, Any]:
@@ -113,9 +122,6 @@ def test_a_program_with_a_key(front: Front, way: str, caplog: pytest.LogCaptureF
     assert answer.status_code == 404
     assert (line["address"], line["person"]) == (CLIENT, None)
     assert line["key"] == front.token.split("_")[1]
-    name, value = next(iter(TLS_HEADERS.items() - {("X-Content-Type-Options", "nosniff")}))
-    assert answer.headers[name] == value
-    assert answer.headers["strict-transport-security"] == "max-age=31536000"
     assert front.ask(way, f"{API}/keys", [("X-API-Key", front.token), *MADE_UP]).status_code == 403
 
 
@@ -162,6 +168,21 @@ def test_a_person_known_to_oauth2_proxy(front: Front, caplog: pytest.LogCaptureF
     away = front.ask("oauth2", "/machines", MADE_UP)
     assert away.status_code == 302
     assert away.headers["location"].startswith("/oauth2/sign_in?rd=https://localhost")
+
+
+@pytest.mark.parametrize("way", ["keys", "nginx"])
+def test_events_come_when_they_happen(front: Front, way: str) -> None:
+    place = f"{front.places[way]}{API}/builds/{front.build}/events"
+    with front.client() as client, client.stream("GET", place, headers={"X-API-Key": front.token}) as answer:
+        assert answer.status_code == 200
+        first = next(line for line in answer.iter_lines() if line.startswith("data: "))
+    assert '"queued"' in first
+
+
+def test_browsers_are_told_to_keep_to_tls(front: Front) -> None:
+    answer = front.ask("nginx", "/healthz", [("Host", "jointplay.example")])
+    assert answer.headers["strict-transport-security"] == "max-age=31536000"
+    assert "strict-transport-security" not in front.ask("nginx", "/healthz").headers  # of localhost
 
 
 def test_plain_http_leads_to_tls(front: Front) -> None:
