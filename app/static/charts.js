@@ -268,7 +268,8 @@
   document.addEventListener("DOMContentLoaded", resized);
   document.addEventListener("htmx:after:swap", drawAll);
   window.addEventListener("resize", resized);
-  window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", drawAll);
+  const dark = window.matchMedia("screen and (prefers-color-scheme: dark)");
+  dark.addEventListener("change", drawAll);  // paper is light, too
 
   // Members of a family, share 0 to 1, go from dark to light on light pages and the other way on dark ones.
   const STOPS = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
@@ -277,7 +278,7 @@
     const low = Math.floor(at);
     return STOPS[low].map((value, index) => Math.round(value + (at - low) * (STOPS[low + 1][index] - value)));
   };
-  const member = (share) => `rgb(${shade(window.matchMedia("(prefers-color-scheme: dark)").matches ? 1 - 0.75 * share : 0.85 * share).join(" ")})`;
+  const member = (share) => `rgb(${shade(dark.matches ? 1 - 0.75 * share : 0.85 * share).join(" ")})`;
 
   // Levels by order: a few lines, and the range in which the first of them may lie.
   const LOOKS = {

@@ -17,10 +17,8 @@
 
   const address = (key, view, look, more = {}) => {
     const asked = { view, unit: look.unit, of: look.of, ...more };
-    if (look.channel) asked.channel = look.channel;
+    for (const name of ["channel", "diagnosis", "speed"]) if (look[name]) asked[name] = look[name];
     if (["spectrum", "spectrogram", "matched"].includes(view)) asked.axis = look.axis;
-    if (look.diagnosis) asked.diagnosis = look.diagnosis;
-    if (look.speed) asked.speed = look.speed;
     return `/api/v1/measurements/${encodeURIComponent(key)}/signal?${new URLSearchParams(asked)}`;
   };
 
@@ -230,8 +228,7 @@
   };
 
   const all = () => {
-    round += 1;
-    const mine = round;
+    const mine = round += 1;
     for (const option of document.querySelectorAll("#look-channel [data-of]")) {
       option.hidden = option.disabled = option.dataset.of !== byId("look-of").value;
       if (option.selected && option.disabled) byId("look-channel").value = "";

@@ -4,8 +4,8 @@
 (() => {
   const own = new Intl.DateTimeFormat("sv", { dateStyle: "short", timeStyle: "medium" });
   const spell = (moment) => own.format(moment).slice(0, 16).split(" ");
-  const zoneOf = (moment) =>
-    new Intl.DateTimeFormat("en", { timeZoneName: "short" }).formatToParts(moment).find((part) => part.type === "timeZoneName").value;
+  const zoned = new Intl.DateTimeFormat("en", { timeZoneName: "short" });
+  const zoneOf = (moment) => zoned.format(moment).split(", ")[1];
   const localize = (root = document) => {
     for (const place of root.querySelectorAll("time[datetime]:not([title])")) {
       const moment = new Date(place.dateTime);

@@ -177,8 +177,11 @@ class Motion:
             )
             for column, times in zip(self.columns, self.derivatives, strict=True)
         ]
-        table = np.column_stack(columns)[first - begin : last - begin]
-        return np.asarray((table @ self.weights.T) * self.factors)
+        # Channel by channel in memory, as they are worked on.
+        table = np.stack([column[first - begin : last - begin] for column in columns]).T
+        if not np.array_equal(self.weights, np.eye(len(columns))):
+            table = np.stack([table @ weights for weights in self.weights]).T
+        return table if (self.factors == 1.0).all() else table * self.factors
 
 
 def motion_of(

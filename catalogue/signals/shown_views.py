@@ -335,8 +335,9 @@ def _overall(motion: Motion, question: SignalQuestion) -> ShownSignal:
     rate, count = motion.recording.sample_rate, len(motion.recording.signal)
     band = (OVERALL_HZ[0], min(OVERALL_HZ[1], PASS * rate))
     measured, quantity = motion.as_measured()
+    whole = measured.part(0, count)
     found = welch(
-        measured.part(0, count), rate, drive_speed=None, channels=motion.names, units=motion.units,
+        whole, rate, drive_speed=None, channels=motion.names, units=motion.units,
         window_length=max(8, min(count, round(2.0 * rate))),
     )  # fmt: skip
     frequency, density = found.frequency[1:, None], found.values[1:]
@@ -348,7 +349,7 @@ def _overall(motion: Motion, question: SignalQuestion) -> ShownSignal:
     velocity = UNITS["mm/s"].factor * rms_as(
         "velocity", np.where((frequency >= band[0]) & (frequency <= band[1]), 1.0, 0.0)
     )
-    values = motion.part(0, count)
+    values = whole * motion.factors if motion.derivatives == measured.derivatives else motion.part(0, count)
     if motion.integrates:
         # What lies beyond its ends is not known: there an integral is a guess.
         unsure = min(count // 4, continued_samples(rate, motion.high_pass))

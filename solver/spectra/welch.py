@@ -123,8 +123,14 @@ def cross_spectra(
         raise SettingsError(f"signal: {len(values)} samples: a window of {length} samples does not fit")
     hop = length - length // 2
     density = np.zeros((length // 2 + 1, width, width), dtype=np.complex128)
-    for i in range(width):
-        for j in range(i, i + 1 if diagonal_only else width):
+    if diagonal_only:  # given one array twice, scipy transforms it once
+        for i, column in enumerate(np.ascontiguousarray(values.T)):
+            density[:, i, i] = scipy.signal.csd(
+                column, column, fs=sample_rate, window="hann", nperseg=length, noverlap=length - hop,
+                detrend="constant",
+            )[1]  # fmt: skip
+    for i in range(0 if diagonal_only else width):
+        for j in range(i, width):
             # scipy conjugates the first argument.
             _, pair = scipy.signal.csd(
                 values[:, j], values[:, i], fs=sample_rate, window="hann", nperseg=length,

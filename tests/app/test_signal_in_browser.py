@@ -209,6 +209,51 @@ def test_forces_in_the_joints_are_simulated_when_asked_for(
         assert axis(force) == axis(page.locator("[data-signal='revolution']"))
 
 
+def test_the_catalogue_is_laid_over_one_channel_and_the_moment_is_corrected(
+    browser: Browser, server: str, measurement: dict[str, Any]
+) -> None:
+    asked = {"measurement": measurement["id"], "catalogue": "slider-crank", "effort": "fast"}
+    with httpx.Client(base_url=server, timeout=300) as client:
+        assert client.post("/api/v1/diagnoses", json=asked).status_code == 201
+    with visiting(browser, f"{server}/measurements/{measurement['id']}?of=frame", SCREENS[0]) as visit:
+        page = visit.page
+        spectrum = page.locator("[data-signal='spectrum']")
+        expect(spectrum.locator("canvas")).to_have_count(1, timeout=SECONDS)
+        plain = pixels(spectrum)
+        page.get_by_label("Channel").select_option("y")
+        expect(page.locator("[data-note='spectrum']")).to_contain_text("First: B. Second: ", timeout=SECONDS)
+        expect(spectrum).to_have_attribute("data-look", re.compile("channel=y"))
+        assert pixels(spectrum) != plain
+        head, rows = numbers(page, spectrum)
+        column = {name.partition(" [")[0]: place for place, name in enumerate(head)}
+        # At the first orders the machine shakes as the catalogue's does.
+        at = [int(np.nanargmin(np.abs(rows[:, 0] - order))) for order in (1, 2, 3)]
+        laid = [int(np.flatnonzero(rows[:, 0] == order)[0]) for order in (1, 2, 3)]
+        measured = [np.nanmax(rows[max(0, place - 8) : place + 9, column["y"]]) for place in at]
+        assert np.abs(rows[laid, column["y, first"]] - measured).max() < 8.0
+        page.get_by_text("Correct when it was measured").click()
+        page.get_by_label("Measured", exact=False).fill("2026-03-01T06:00:00")
+        page.get_by_role("button", name="Correct it").click()
+        expect(page.get_by_text("2026-03-01 06:00").first).to_be_visible()
+        assert is_within_screen(page) and serious(page) == []
+
+
+def test_a_measured_spectrum_has_its_chart(visit: Visit, server: str) -> None:
+    rows = [f"{line},{2.0 if line == 120 else 0.01}" for line in range(1, 401)]
+    content = "\n".join(["f [Hz],a [m/s2 rms]", *rows]).encode()
+    with httpx.Client(base_url=server, timeout=300) as client:
+        key = send(client, content, "route.csv", window="hann").json()["id"]
+    page = visit.page
+    page.goto(f"{server}/measurements/{key}?levels=lin")
+    spectrum = page.locator("[data-signal='spectrum']")
+    expect(spectrum.locator("canvas")).to_have_count(1, timeout=SECONDS)
+    assert has_drawn(spectrum.locator("canvas")) and page.locator("[data-signal]").count() == 1
+    head, lines = numbers(page, spectrum)
+    assert head == ["frequency, Hz", "a [m/s2 rms]"] and len(lines) == 400
+    assert lines[119] == pytest.approx([120.0, 2.0], rel=1e-4)
+    assert is_within_screen(page) and serious(page) == []
+
+
 def test_a_family_of_lines_goes_from_one_colour_to_another(visit: Visit, server: str) -> None:
     page = visit.page
     page.goto(f"{server}/catalogues/slider-crank?hypothesis=B")
