@@ -224,15 +224,21 @@ class AuditLog:
 
     def damage(self) -> Iterator[str]:
         """Give what is wrong with the chain, in order; nothing where it is whole."""
+        return (said for said in self.look() if said)
+
+    def look(self) -> Iterator[str]:
+        """Give what is wrong with each row, in order, mostly an empty text; at the end also what is wrong with that."""
         until, ending = self.end()  # first: what is added meanwhile is looked at another time
         number, previous = 0, FIRST
         for row in self.all(until):
+            said = []
             if row.number != number + 1:
-                yield f"{named(number + 1, row.number - 1)} missing"
+                said.append(f"{named(number + 1, row.number - 1)} missing")
             elif row.previous != previous:
-                yield f"row {row.number} does not follow row {number}"
+                said.append(f"row {row.number} does not follow row {number}")
             if row.hash != checksum(row.content):
-                yield f"row {row.number} ({row.action} {row.kind} {row.object[:40]}) is not what was written"
+                said.append(f"row {row.number} ({row.action} {row.kind} {row.object[:40]}) is not what was written")
+            yield "; ".join(said)
             number, previous = row.number, row.hash
         if number < until:
             yield f"{named(number + 1, until)} missing"

@@ -25,6 +25,10 @@ class Document(dict[str, Any]):
     __slots__ = ("sha256",)
     sha256: str
 
+    def __reduce__(self) -> tuple[type[dict[str, Any]], tuple[dict[str, Any]]]:
+        """Make copies, and what is sent to workers, plain dictionaries: they may become something else."""
+        return dict, (dict(self),)
+
 
 def read_document(text: str | bytes) -> Any:
     """Return the values of a JSON text; of an object with the checksum of the text, which costs next to nothing."""

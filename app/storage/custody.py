@@ -27,6 +27,9 @@ CHUNK = 20
 ROW_BYTES = 20_000
 """What a row is counted as; most of a diagnosis is its evidence."""
 
+MANY, NOTE_BYTES = 500, 1000
+"""Rows of the audit log that are looked at in one step, and what each is counted as."""
+
 SEALED: tuple[Any, ...] = (MeasurementRow, DiagnosisRow, FindingRow, AssetRow)
 
 
@@ -55,9 +58,13 @@ def look_through(store: Store) -> Iterator[Step]:
     """Look at all rows, then at all recordings, then at the audit log."""
     yield from look_at_rows(store)
     yield from look_at_recordings(store)
-    found = tuple(AuditLog(store.database).damage())
-    number, _ = AuditLog(store.database).end()
-    yield Step("audit", number, 0, found)
+    count = 0
+    for said in AuditLog(store.database).look():
+        count += 1
+        if said or count == MANY:
+            yield Step("audit", count, NOTE_BYTES * count, (f"audit log: {said}",) if said else ())
+            count = 0
+    yield Step("audit", count, NOTE_BYTES * count)
 
 
 def look_at_rows(store: Store) -> Iterator[Step]:

@@ -18,6 +18,7 @@ from sqlalchemy import update
 
 from jointplay.app.errors import (
     BusyError,
+    DamagedRowError,
     DatabaseGoneError,
     DeletedError,
     KeyInUseError,
@@ -246,6 +247,9 @@ class ExampleService:
         keyed = any(each["name"] == "Idempotency-Key" for each in operation.get("parameters", ()))
         if status == 409 and keyed:
             return KeyInUseError("Idempotency-Key: the first request with it is not answered yet")
+        if call.path.endswith("/verification") and status == 409:
+            said = f"diagnosis {examples.DIAGNOSIS}: its row is not what was written; bring it back from a backup"
+            return DamagedRowError(said, number=1)
         if call.path.endswith("/forecasts") and status == 409:
             return CatalogueMismatchError("press-7", "holds a catalogue of another machine: name another folder")
         if call.path.endswith("/rotate") and status == 409:

@@ -66,6 +66,7 @@ def guarded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Key
         ("POST", "/api/v1/diagnoses/7/finding", Scope.MATCH),
         ("PUT", "/api/v1/assets/press-7", Scope.MATCH),
         ("GET", "/api/v1/webhooks", Scope.ADMIN),
+        ("GET", "/api/v1/audit", Scope.ADMIN),
         ("DELETE", "/api/v1/webhooks/7", Scope.ADMIN),
         ("GET", "/api/v1/keys", Scope.ADMIN),
         ("POST", "/api/v1/keys/7/rotate", Scope.ADMIN),

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import io
 import os
+import pickle
 import sqlite3
 from collections.abc import Callable
 from contextlib import closing
@@ -19,6 +21,7 @@ from jointplay.app.errors import AppError, DamagedRowError, RecordingDamagedErro
 from jointplay.app.jobs import tasks
 from jointplay.app.schemas.assets import AssetIn, FindingIn
 from jointplay.app.storage.assets import Assets
+from jointplay.app.storage.checksums import Document
 from jointplay.app.storage.recording_files import read_bytes
 from jointplay.app.storage.rows import Damaged, now
 from jointplay.app.storage.standings import Standings
@@ -194,6 +197,13 @@ def test_every_single_flipped_bit_of_a_result_is_seen(tmp_path: Path) -> None:
             with pytest.raises(DamagedRowError):
                 store.diagnoses(None, 9)
         connection.close()
+
+
+def test_what_was_read_is_copied_as_what_it_holds(store: Store) -> None:
+    """A copy may be changed and stored: it has no checksum of what it was."""
+    read = store.measurement(everything(store)["measurements"]).summary
+    assert isinstance(read, Document)
+    assert [type(made) for made in (copy.deepcopy(read), pickle.loads(pickle.dumps(read)), read | {})] == [dict] * 3
 
 
 def test_a_damaged_asset_does_not_keep_others_from_being_judged(store: Store) -> None:
