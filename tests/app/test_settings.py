@@ -24,6 +24,8 @@ def documented() -> dict[str, str]:
 
 
 def shown(value: object) -> str:
+    if value is None:
+        return ""
     if isinstance(value, bool):
         return json.dumps(value)
     return f"{value:g}" if isinstance(value, float) else str(value)
