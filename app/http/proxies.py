@@ -44,7 +44,7 @@ class Proxies:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        peer = scope["client"]
+        peer = scope.get("client")
         found = None if peer is None else parsed(peer[0])
         trusted = found is not None and any(found in each for each in self._networks)
         scope.setdefault("state", {}).update(peer=peer, by_proxy=trusted)

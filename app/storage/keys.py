@@ -225,7 +225,7 @@ class Keys:
             return self._with_use(session, [row])[0]
 
     def find(self, token: str) -> Key:
-        """Return the key that a token is of.
+        """Return the key that a token is of; found by a former secret, it holds as long as that.
 
         Raises
         ------
@@ -243,7 +243,9 @@ class Keys:
                 # The comparison takes as long for a wrong secret as for a right one.
                 if row is not None and not hmac.compare_digest(row.sha256, sent):
                     former = session.get(FormerSecretRow, sent)
-                    row = row if former is not None and former.key == row.id and now() < former.expires_at else None
+                    if former is not None and former.key == row.id and now() < former.expires_at:
+                        return replace(self._in_use(row), expires_at=former.expires_at)
+                    row = None
         if row is None:
             raise UnauthorizedError("the key is not known here")
         return self._in_use(row)
@@ -253,7 +255,7 @@ class Keys:
         token = secrets.token_urlsafe(SECRET_BYTES)
         with self._database.writing() as session:
             session.execute(delete(SessionRow).where(SessionRow.expires_at < now()))
-            session.add(SessionRow(sha256=digest(token), key=key.id, expires_at=now() + SESSION))
+            session.add(SessionRow(sha256=digest(token), key=key.id, expires_at=min(now() + SESSION, key.expires_at)))
             note(session, "signed in", "key", key.id)
         return token
 

@@ -130,6 +130,7 @@ def test_a_new_secret_leaves_the_old_one_a_while(keys: Keys) -> None:
     assert renewed.expires_at < key.expires_at
     assert timedelta(hours=23) < until - now() <= timedelta(hours=24)
     assert {keys.find(token).id for token in (first, second)} == {keys.of_session(session).id} == {key.id}
+    assert (keys.find(first).expires_at, keys.find(second).expires_at) == (until, renewed.expires_at)
     _, third, _ = keys.rotate(key.id, timedelta(0), timedelta(days=30))
     for token in (first, second):  # all that were before
         with pytest.raises(UnauthorizedError, match="not known"):
@@ -145,6 +146,16 @@ def test_a_new_secret_leaves_the_old_one_a_while(keys: Keys) -> None:
         keys.rotate(key.id, timedelta(0), timedelta(days=1))
     with pytest.raises(UnknownKeyError):
         keys.rotate("nobody", timedelta(0), timedelta(days=1))
+
+
+def test_a_session_ends_with_the_secret_that_opened_it(keys: Keys) -> None:
+    first = make(keys, Scope.READ, days=100)
+    _, second, _ = keys.rotate(keys.find(first).id, timedelta(hours=1), timedelta(days=30))
+    sessions = [keys.open_session(keys.find(token)) for token in (first, second)]
+    with mock.patch("jointplay.app.storage.keys.now", return_value=now() + timedelta(hours=2)):
+        with pytest.raises(UnauthorizedError, match="session is over"):
+            keys.of_session(sessions[0])
+        assert keys.of_session(sessions[1]).scopes == {Scope.READ}
 
 
 def test_a_secret_that_has_expired_is_not_revived_by_a_new_one(keys: Keys) -> None:
