@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import gzip
 import hashlib
-import io
 import math
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -21,7 +18,7 @@ from jointplay.catalogue.measurements.channel_units import ChannelUnit
 from jointplay.catalogue.measurements.import_profile import ImportProfile, profile_beside
 from jointplay.catalogue.measurements.measured_columns import EPOCH_FROM, EPOCH_TO, understood_columns
 from jointplay.catalogue.measurements.moments import place_moment, spell
-from jointplay.catalogue.measurements.readers import Limits, RawColumn, RawRecording, known_ending, read_raw
+from jointplay.catalogue.measurements.readers import Limits, RawColumn, RawRecording, read_raw
 from jointplay.catalogue.measurements.time_base import TimeBase, TimeColumn, even_time_base
 from jointplay.catalogue.measurements.waveform import ChannelFlaw, inspect_waveform
 from jointplay.solver.arrays import FloatArray
@@ -41,29 +38,6 @@ def file_bytes(path: Path, limits: Limits) -> bytes:
             return file.read(limits.file_bytes + 1)
     except OSError as error:
         raise MeasurementError(str(path), rule=f"cannot be read: {error.strerror or error}") from None
-
-
-def decompress(data: bytes, title: str, limits: Limits) -> bytes:
-    """Content of a gzip file, anything else as it is.
-
-    Raises
-    ------
-    MeasurementError
-        Damaged, or larger than is read.
-    """
-    if not data.startswith(b"\x1f\x8b"):
-        if title.lower().endswith(".gz"):
-            raise MeasurementError(title, rule="is not a gzip file")
-        decoded = data
-    else:
-        try:
-            with gzip.GzipFile(fileobj=io.BytesIO(data)) as packed:
-                decoded = packed.read(limits.decoded_bytes + 1)
-        except (OSError, EOFError, zlib.error) as error:
-            raise MeasurementError(title, rule=f"is a damaged gzip file: {error}") from None
-    if len(decoded) > limits.decoded_bytes:
-        raise MeasurementError(title, rule=f"holds more than {limits.decoded_bytes / 1e6:g} MB, the most that is read")
-    return decoded
 
 
 SI_UNITS: dict[Quantity, str] = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s2"}
@@ -237,9 +211,7 @@ def raw_of(
     data = source if isinstance(source, bytes) else file_bytes(Path(source), limits)
     if len(data) > limits.file_bytes:
         raise MeasurementError(title, rule=f"is larger than {limits.file_bytes / 1e6:g} MB, the most that is read")
-    if data[:2] == b"\x1f\x8b" or title.lower().endswith(".gz"):
-        known_ending(title)  # what is not read anyway need not be unpacked
-    raw = profile.apply(read_raw(decompress(data, title, limits), title, limits, **profile.table))
+    raw = profile.apply(read_raw(data, title, limits, **profile.table))
     return raw, hashlib.sha256(data).hexdigest()
 
 

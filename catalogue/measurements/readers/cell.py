@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import threading
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -31,16 +32,21 @@ class Cell:
         self._owner = 0
         self._lock = threading.Lock()
 
-    def read(self, kind: FileKind, data: bytes, source: str, limits: Limits) -> RawRecording:
+    def read(
+        self, kind: FileKind, data: bytes, source: str, limits: Limits, table: Mapping[str, Any] | None = None
+    ) -> RawRecording:
         """Read a file.
 
         Parameters
         ----------
         kind : FileKind
         data : bytes
+            Plain or gzipped.
         source : str
             What messages call it.
         limits : Limits
+        table : mapping, optional
+            Further arguments of its reader.
 
         Raises
         ------
@@ -48,6 +54,7 @@ class Cell:
             The file cannot be read: what the reader says of it, or that it took too much memory or time, or crashed.
         """
         request = {"kind": kind.name, "source": source, "limits": asdict(limits), "bytes": len(data)}
+        request["table"] = dict(table or {})
         with self._lock:
             process = self._running()
             assert process.stdin is not None and process.stdout is not None
@@ -74,15 +81,15 @@ class Cell:
         if ended:
             name = signal.Signals(ended).name
             raise MeasurementError(source, rule=f"{kind.name} file: is damaged: its reader was ended by {name}")
-        line, _, rest = body.partition(b"\n")
+        end = max(body.find(b"\n"), 0)
         try:
-            answer = json.loads(line)
+            answer = json.loads(body[:end])
         except ValueError:
             raise MeasurementError(source, rule=f"{kind.name} file: its reader gave no answer") from None
         if "error" in answer:
             *said, field = answer["error"]
             raise MeasurementError(source, *said, field=field)
-        return decode(answer, rest, source)
+        return decode(answer, memoryview(body)[end + 1 :], source)
 
     def _running(self) -> subprocess.Popen[bytes]:
         # A process that was forked off has its parent's pipes, which it must not share.

@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import itertools
 import re
+from array import array
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
@@ -35,8 +36,8 @@ from jointplay.solver.arrays import FloatArray
 SENSOR = "sensor_"
 #: Columns of a header that rows leave out.
 COMMENTS = frozenset({"comment", "comments", "kommentar", "remark", "remarks", "bemerkung", "note", "notes"})
-#: Lines looked at for the header and the dialect.
-HEAD_LINES = 400
+#: Lines, and characters, looked at for the header and the dialect.
+HEAD_LINES, HEAD_LENGTH = 400, 262_144
 
 _RATE = re.compile(r"sampl\w*[ _-]*(rate|freq)|abtast(rate|freq)|\bfs\b|scan[ _-]*rate", re.IGNORECASE)
 _INTERVAL = re.compile(
@@ -84,11 +85,11 @@ def read_csv(
     text, encoding = _decode(data, source)
     if "\r" in text:
         text = text.replace("\r\n", "\n").replace("\r", "\n")
-    head = list(itertools.islice(io.StringIO(text), HEAD_LINES))
+    head = _head(text)
     stamps = replace_stamps(text, head)
     if stamps is not None:
         text = stamps.text
-        head = list(itertools.islice(io.StringIO(text), HEAD_LINES))
+        head = _head(text)
     layout = find_layout(head, dialects_of(delimiter, decimal), skipped)
     if layout is None:
         raise _no_table(head, source)
@@ -122,7 +123,7 @@ def read_csv(
         for number, line in above
         if line.strip() and number not in used | dated
     ]
-    values = _numbers(text, head, layout, columns, source)
+    values, lines = _numbers(text, head, layout, columns, source)
     names_there = {column.name for column in columns}
     if "frame_acceleration_x" in names_there and any(name.startswith(SENSOR) for name in names_there):
         facts.append("what was simulated: its sensors are taken")
@@ -130,10 +131,15 @@ def read_csv(
         columns = tuple(replace(columns[index], name=columns[index].name.removeprefix(SENSOR)) for index in ours)
         values = values[:, ours]
 
-    def line_of(sample: int) -> int | None:
-        return _line_of(text, layout, sample)
+    return RawRecording(source, columns, values, rate, tuple(facts), lines, moment=moment)
 
-    return RawRecording(source, columns, values, rate, tuple(facts), line_of, moment=moment)
+
+def _head(text: str) -> list[str]:
+    """First lines of a text, whole ones."""
+    lines = text[:HEAD_LENGTH].split("\n")
+    if (len(text) > HEAD_LENGTH and len(lines) > 1) or not lines[-1]:
+        lines.pop()
+    return [f"{line}\n" for line in lines[:HEAD_LINES]]
 
 
 def _decode(data: bytes, source: str) -> tuple[str, str]:
@@ -258,7 +264,8 @@ def _read_number(text: str, dialect: Dialect) -> float | None:
 
 def _numbers(
     text: str, head: Sequence[str], layout: TableLayout, columns: Sequence[RawColumn], source: str
-) -> FloatArray:
+) -> tuple[FloatArray, range | FloatArray]:
+    """Numbers of a table, and the lines that they stand in."""
     body = text[sum(len(line) for line in head[: layout.first]) :]
     delimiter = None if layout.dialect.delimiter == " " else layout.dialect.delimiter
     if layout.surplus and delimiter is not None:
@@ -266,27 +273,30 @@ def _numbers(
     plain = body.replace(",", ".") if layout.dialect.decimal == "," else body
     quick = None if delimiter is None or len(delimiter) > 1 else plain_table(plain, delimiter, layout.columns)
     if quick is not None:
-        return quick
+        return quick, range(layout.first + 1, layout.first + 1 + len(quick))
     try:
-        values = np.loadtxt(io.StringIO(plain), delimiter=delimiter, comments="#", dtype=np.float64, ndmin=2)
+        # Of a text itself, numpy would read a copy of four bytes a character.
+        lines = io.TextIOWrapper(io.BytesIO(plain.encode()), encoding="utf-8")
+        values = np.loadtxt(lines, delimiter=delimiter, comments="#", dtype=np.float64, ndmin=2)
     except ValueError:
         values = None
     if values is None or values.shape[1] != layout.columns or not np.all(np.isfinite(values)):
-        return _numbers_line_by_line(text, layout, columns, source)
-    return values
+        values = _numbers_line_by_line(text, layout, columns, source)
+    return values, np.array([number for number, _line in _rows(text, layout)], np.float64)
 
 
 def _numbers_line_by_line(text: str, layout: TableLayout, columns: Sequence[RawColumn], source: str) -> FloatArray:
-    rows: list[list[float]] = []
-    for number, fields in _rows(text, layout):
+    numbers = array("d")
+    for number, line in _rows(text, layout):
+        fields = _fields(line, layout.dialect)
         if len(fields) != layout.columns:
             raise MeasurementError(source, number, rule=f"{len(fields)} fields, expected {layout.columns}")
         row = [layout.dialect.number(field) for field in fields]
         for value, field, column in zip(row, fields, columns, strict=True):
             if value is None or not np.isfinite(value):
                 raise MeasurementError(source, number, column.name, field or None, _cell_rule(field, layout.dialect))
-        rows.append([value for value in row if value is not None])
-    return np.asarray(rows, dtype=np.float64)
+        numbers.extend(value for value in row if value is not None)
+    return np.frombuffer(numbers, np.float64).reshape(-1, layout.columns)
 
 
 def _cell_rule(field: str, dialect: Dialect) -> str:
@@ -295,15 +305,20 @@ def _cell_rule(field: str, dialect: Dialect) -> str:
     return "is not finite" if dialect.is_cell(field) else "is not a number"
 
 
-def _rows(text: str, layout: TableLayout) -> Iterator[tuple[int, list[str]]]:
-    for number, line in enumerate(io.StringIO(text), start=1):
+def _rows(text: str, layout: TableLayout) -> Iterator[tuple[int, str]]:
+    for number, line in enumerate(_lines(text), start=1):
         if number > layout.first and line.strip() and not line.lstrip().startswith("#"):
-            yield number, _fields(line, layout.dialect)
+            yield number, line
+
+
+def _lines(text: str) -> Iterator[str]:
+    """Lines of a text one after the other, without a copy of it."""
+    begin = 0
+    while begin < len(text):
+        end = text.find("\n", begin) + 1 or len(text)
+        yield text[begin:end]
+        begin = end
 
 
 def _fields(line: str, dialect: Dialect) -> list[str]:
     return dialect.split(line.split("#", 1)[0].strip("\r\n"))
-
-
-def _line_of(text: str, layout: TableLayout, sample: int) -> int | None:
-    return next((number for number, _ in itertools.islice(_rows(text, layout), sample, None)), None)

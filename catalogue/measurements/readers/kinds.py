@@ -18,7 +18,7 @@ _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 @dataclass(frozen=True)
 class FileKind:
-    """A kind of file read by somebody else's library, in a process of its own.
+    """A kind of file, read in a process of its own.
 
     Parameters
     ----------
@@ -29,6 +29,8 @@ class FileKind:
         Of the reader.
     libraries : tuple of str
         Modules loaded before the process forks.
+    example : bytes
+        Read before it does, where more is loaded with the first file.
     """
 
     name: str
@@ -36,10 +38,18 @@ class FileKind:
     module: str
     function: str
     libraries: tuple[str, ...] = ()
+    example: bytes = b""
 
 
-#: The table of numbers as text is read here, without a process of its own.
 TEXT_ENDINGS = (".csv", ".tsv", ".txt")
+TEXT = FileKind(
+    "text",
+    TEXT_ENDINGS,
+    "jointplay.catalogue.measurements.readers.csv",
+    "read_csv",
+    ("jointplay.catalogue.measurements.readers.csv",),
+    b"t [s],x [m/s2]\n0,1\n1,2\n2,3\n",
+)
 
 FOREIGN = {
     kind.name: kind
@@ -95,7 +105,7 @@ INSTALLED = {
     for name, point in entry_points_of("readers").items()
     if f".{name.lower()}" not in _OWN_ENDINGS and name.upper() not in FOREIGN
 }
-KINDS = {**FOREIGN, **INSTALLED}
+KINDS = {TEXT.name: TEXT, **FOREIGN, **INSTALLED}
 
 
 #: How a measurement data file (ASAM MDF) begins, whole or not, and how its name ends.
@@ -138,8 +148,8 @@ def known_ending(name: str) -> str:
     return ending
 
 
-def kind_of(data: bytes, name: str) -> FileKind | None:
-    """Kind of a file from its content, or from its name where the content says nothing; None for a table as text.
+def kind_of(data: bytes, name: str) -> FileKind:
+    """Kind of a file from the beginning of its content, or from its name where that says nothing.
 
     Raises
     ------
@@ -152,7 +162,7 @@ def kind_of(data: bytes, name: str) -> FileKind | None:
     ending = ending_of(name) if told is not None else known_ending(name)
     if ending in TEXT_ENDINGS:
         if told is None or told == "UFF":  # a table may begin with -1
-            return None
+            return TEXT
         raise MeasurementError(name, rule=f"ends in {ending}, but is a {told} file: name it so")
     named = next((kind for kind in KINDS.values() if ending in kind.endings), None)
     if named is not None and named.name in INSTALLED:

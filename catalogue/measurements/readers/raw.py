@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import re
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from datetime import datetime
 from typing import Any, Literal
 
@@ -115,8 +115,8 @@ class RawRecording:
         Where the file states it [Hz].
     facts : tuple of str
         What was understood so far, one line each.
-    line_of : callable
-        Line of the file a sample came from, or None.
+    lines : range or (n,) array, optional
+        Lines of the file that the samples came from.
     warnings : tuple of str
         What a diagnosis should mention, one line each.
     declared : int or None
@@ -140,7 +140,7 @@ class RawRecording:
     values: FloatArray
     sample_rate: float | None = None
     facts: tuple[str, ...] = ()
-    line_of: Callable[[int], int | None] = field(default=lambda sample: None)
+    lines: range | FloatArray | None = None
     warnings: tuple[str, ...] = ()
     declared: int | None = None
     relative: bool = False
@@ -149,6 +149,10 @@ class RawRecording:
     turns: FloatArray | None = None
     moment: RawMoment | None = None
     measured_at: datetime | None = None
+
+    def line_of(self, sample: int) -> int | None:
+        """Line of the file a sample came from, where it has lines."""
+        return None if self.lines is None else int(self.lines[sample])
 
 
 #: From bytes (decompressed), the name for messages and the limits to a recording; raises MeasurementError.
@@ -167,6 +171,9 @@ def encode(raw: RawRecording) -> dict[str, Any]:
     dict
         Members of JSON, and the numbers (n, c) under ``values``.
     """
+    values = raw.values
+    if isinstance(raw.lines, np.ndarray):
+        values = np.column_stack([values, raw.lines])
     return {
         "columns": [asdict(column) for column in raw.columns],
         "sample_rate": raw.sample_rate,
@@ -177,20 +184,21 @@ def encode(raw: RawRecording) -> dict[str, Any]:
         "ceiling": raw.ceiling,
         "form": None if raw.form is None else asdict(raw.form),
         "moment": None if raw.moment is None else asdict(raw.moment),
-        "shape": list(raw.values.shape),
-        "values": np.ascontiguousarray(raw.values, dtype="<f8"),
+        "lines": [raw.lines.start, raw.lines.stop] if isinstance(raw.lines, range) else None,
+        "shape": list(values.shape),
+        "values": np.ascontiguousarray(values, dtype="<f8"),
     }
 
 
-def decode(head: dict[str, Any], body: bytes, source: str) -> RawRecording:
+def decode(head: dict[str, Any], body: bytes | memoryview, source: str) -> RawRecording:
     """Recording of an answer; the inverse of :func:`encode`.
 
     Parameters
     ----------
     head : dict
         Members of JSON.
-    body : bytes
-        The numbers.
+    body : bytes or memoryview
+        The numbers; lines that are not one after the other stand in a last column.
     source : str
         What messages call the file.
 
@@ -198,10 +206,15 @@ def decode(head: dict[str, Any], body: bytes, source: str) -> RawRecording:
     -------
     RawRecording
     """
+    values = np.frombuffer(body, dtype="<f8").reshape(head["shape"])
+    lines: range | FloatArray | None = None if head["lines"] is None else range(*head["lines"])
+    if values.ndim == 2 and values.shape[1] == len(head["columns"]) + 1:
+        values, lines = values[:, :-1], values[:, -1]
     return RawRecording(
         source=source,
         columns=tuple(RawColumn(**column) for column in head["columns"]),
-        values=np.frombuffer(body, dtype="<f8").reshape(head["shape"]).astype(np.float64),
+        values=values.astype(np.float64),
+        lines=lines,
         sample_rate=head["sample_rate"],
         facts=tuple(head["facts"]),
         warnings=tuple(head["warnings"]),

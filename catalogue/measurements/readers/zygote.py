@@ -1,4 +1,4 @@
-"""The process that foreign readers run in: ``python -m jointplay.catalogue.measurements.readers.zygote``.
+"""The process that readers run in: ``python -m jointplay.catalogue.measurements.readers.zygote``.
 
 It loads a reader's library once and forks for every file. The child takes limits of memory, time and output before it
 sees the file, and answers in JSON and plain arrays: whatever becomes of it, nothing of it is executed by who asked.
@@ -19,8 +19,9 @@ from importlib import import_module
 from typing import Any, BinaryIO
 
 from jointplay.catalogue.errors import MeasurementError
-from jointplay.catalogue.measurements.readers.kinds import KINDS
+from jointplay.catalogue.measurements.readers.kinds import KINDS, TEXT
 from jointplay.catalogue.measurements.readers.raw import Limits, encode
+from jointplay.catalogue.measurements.readers.unpacking import unpack
 
 #: Beyond the arrays, an answer holds facts; they are short.
 _MORE_OUTPUT = 16_000_000
@@ -28,6 +29,7 @@ _MORE_OUTPUT = 16_000_000
 
 def serve(requests: BinaryIO, answers: BinaryIO) -> None:
     """Answer requests until there are none; each file is read in a child of its own."""
+    read: set[str] = set()
     while line := requests.readline():
         asked = json.loads(line)
         data = requests.read(asked["bytes"])
@@ -35,6 +37,9 @@ def serve(requests: BinaryIO, answers: BinaryIO) -> None:
         for name in kind.libraries:
             with contextlib.suppress(ImportError):  # of an extra: its reader says so
                 import_module(name)
+        if kind.example and kind.name not in read:
+            read.add(kind.name)
+            getattr(import_module(kind.module), kind.function)(kind.example, "example", limits)
         with tempfile.TemporaryFile() as file:
             child = os.fork()
             if child == 0:
@@ -61,12 +66,13 @@ def answer_and_leave(asked: dict[str, Any], data: bytes, limits: Limits, file: A
             warnings.simplefilter("ignore")  # of libraries; what matters is checked
             kind = KINDS[asked["kind"]]
             reader = getattr(import_module(kind.module), kind.function)
-            raw = reader(data, asked["source"], limits)
+            content = unpack(data, asked["source"], limits, text=kind is TEXT)
+            raw = reader(content, asked["source"], limits, **asked["table"])
         write(file, encode(raw))
     except MeasurementError as error:
         write(file, {"error": [error.line, error.column, _plain(error.value), error.rule, error.field]})
     except BaseException as error:  # whatever a library raises at a damaged file is a statement about the file
-        rule = f"is damaged: {type(error).__name__}: {str(error)[:120]}"
+        rule = f"is damaged, or none of the {asked['kind']} files that are read"
         if _for_want_of_memory(error):
             rule = f"needs more than {limits.reader_memory / 1e6:g} MB to be read"
         write(file, {"error": [None, None, None, rule, ""]})
