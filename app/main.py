@@ -14,10 +14,11 @@ from starlette.staticfiles import StaticFiles
 
 from jointplay.app.http import handlers, openapi
 from jointplay.app.http.examples import read_document
-from jointplay.app.http.gate import Gate
+from jointplay.app.http.gate import Gate, TokenBuckets
 from jointplay.app.http.middleware import BodyLimit, RequestLog, SecurityHeaders, State
 from jointplay.app.http.query import refuse_unknown
 from jointplay.app.jobs.build_runner import BuildRunner
+from jointplay.app.jobs.build_watch import BuildWatch
 from jointplay.app.jobs.standing_keeper import StandingKeeper
 from jointplay.app.jobs.webhook_sender import WebhookSender
 from jointplay.app.jobs.workers import WorkerPool
@@ -87,6 +88,8 @@ def create_app(settings: ServiceSettings | None = None, *, warm: bool = False) -
         metrics.registry.register(State(service))
         application.state.service = service
         application.state.keys = Keys(store.database)
+        application.state.watch = BuildWatch(queue, service.stopping)
+        application.state.failed_sign_ins = TokenBuckets(signin.FAILURES_PER_S, signin.FAILURES)
         runner.start()
         sender = WebhookSender(Webhooks(store.database), chosen.webhooks_private, metrics.count_delivery)
         sender.start()
