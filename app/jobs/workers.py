@@ -26,7 +26,7 @@ from jointplay.catalogue.processes import OneProcess, become_worker
 log = logging.getLogger(__name__)
 
 PATIENCE_S = 5.0
-"""Longest time that a task goes on without its client [s]: about what a new process takes until it is ready."""
+"""Longest time that a task goes on without its client [s]: about what a new process takes of a processor."""
 
 
 class TaskFailedError(Exception):
@@ -129,6 +129,9 @@ class WorkerPool:
         self._turns: Turns[OneProcess] = Turns(queue_limit)
         self._workers = [OneProcess(prepare, log_settings) for _ in range(workers)]
         self._free = list(self._workers)
+        self._count, self._missing = workers, 0
+        self._spare = OneProcess(prepare, log_settings)
+        self._ready: list[OneProcess] = []
         self._first: tuple[Callable[..., Any], tuple[Any, ...]] | None = None
         self._behind: set[asyncio.Task[None]] = set()
 
@@ -204,7 +207,7 @@ class WorkerPool:
             self._turns.end(client)
             if came_to in ("time-limit", "worker-died", "cancelled"):
                 end(worker)
-                self._begin(worker)
+                self._replace(worker)
             else:
                 self._put_back(worker)
             if self._watch is not None:
@@ -215,19 +218,31 @@ class WorkerPool:
     async def warm(self, task: Callable[..., Any], *args: Any) -> None:
         """Run a task in every worker that is free, and from now on in every new process before it gets another."""
         self._first = (task, args)
-        free, self._free = self._free, []
-        for worker in free:
-            self._begin(worker)
-        await asyncio.gather(*self._behind)
+        self._missing, free, self._free = self._missing + len(self._free), self._free, []
+        await asyncio.gather(*(self._refill(worker) for worker in free))
 
-    def _begin(self, worker: OneProcess) -> None:
-        """Let a process load what tasks need, behind their backs, and then have tasks."""
-        if self._first is None:
+    def _replace(self, worker: OneProcess) -> None:
+        """Put a process that is ready in the place of one that was ended, and let that one load behind."""
+        if self._ready:
+            self._put_back(self._ready.pop())
+        elif self._first is None:
             self._put_back(worker)
+            return
         else:
-            self._keep(asyncio.create_task(self._load(worker, *self._first)))
+            self._missing += 1
+        self._keep(asyncio.create_task(self._recover(worker)))
 
-    async def _load(self, worker: OneProcess, task: Callable[..., Any], args: tuple[Any, ...]) -> None:
+    async def _recover(self, worker: OneProcess) -> None:
+        """Let a process load; from the first that was ended on there is one more than work."""
+        await self._refill(worker)
+        if self._spare not in self._workers:
+            self._workers.append(self._spare)
+            await self._refill(self._spare)
+
+    async def _refill(self, worker: OneProcess) -> None:
+        """Let a process load what tasks need, and then have tasks where one is missing."""
+        assert self._first is not None
+        task, args = self._first
         try:
             async with asyncio.timeout(self._time_limit):
                 await run_in(worker, task, args)
@@ -238,7 +253,11 @@ class WorkerPool:
             end(worker)
             raise
         finally:
-            self._put_back(worker)
+            if self._missing:
+                self._missing -= 1
+                self._put_back(worker)
+            else:
+                self._ready.append(worker)
 
     def _keep(self, task: asyncio.Task[None]) -> None:
         """Hold a task that nobody waits for until it is done."""
@@ -268,7 +287,7 @@ class WorkerPool:
     @property
     def busy(self) -> int:
         """Number of workers that have a task."""
-        return len(self._workers) - len(self._free)
+        return self._count - len(self._free)
 
     def processes(self) -> list[tuple[str, int]]:
         """Return names and ids of the processes that were started."""

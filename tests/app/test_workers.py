@@ -44,6 +44,8 @@ def pid() -> int:
 
 
 def mark(folder: Path) -> None:
+    while (folder / "held").exists():
+        time.sleep(0.01)
     (folder / str(os.getpid())).touch()
 
 
@@ -178,8 +180,29 @@ def test_a_task_whose_client_has_gone_is_stopped_and_the_next_worker_is_ready(
                     await each
             second = await pool.run(pid)
             assert await gone(first)
-            assert sorted(map(int, (each.name for each in tmp_path.iterdir()))) == sorted((first, second))
+            assert {str(first), str(second)} <= {each.name for each in tmp_path.iterdir()}
             assert (pool.busy, pool.waiting) == (0, 0)
+        finally:
+            pool.close()
+
+    asyncio.run(story())
+
+
+def test_after_the_first_that_was_ended_another_is_ready_at_once(tmp_path: Path) -> None:
+    async def story() -> None:
+        pool = WorkerPool(1, 4, 300.0)
+        try:
+            await pool.warm(mark, tmp_path)
+            with pytest.raises(WorkerDiedError):
+                await pool.run(die)
+            while not pool._ready:  # the spare one
+                await asyncio.sleep(0.01)
+            loaded = {int(each.name) for each in tmp_path.iterdir()}
+            (tmp_path / "held").touch()  # whatever is started now is never ready
+            with pytest.raises(WorkerDiedError):
+                await pool.run(die)
+            assert await pool.run(pid) in loaded
+            assert (pool.busy, len(loaded), len(pool.processes())) == (0, 3, 2)
         finally:
             pool.close()
 
