@@ -177,6 +177,10 @@ class WorkerDiedError(AppError):
     """A worker process ended before it answered, for instance for want of memory."""
 
 
+class ClientGoneError(AppError):
+    """A client that went before its answer was made."""
+
+
 class UnauthorizedError(AppError):
     """A request without a key that holds."""
 

@@ -16,12 +16,13 @@ from starlette.staticfiles import StaticFiles
 from jointplay.app.errors import BadFieldError
 from jointplay.app.http import handlers, openapi
 from jointplay.app.http.examples import read_document
-from jointplay.app.http.gate import Gate
+from jointplay.app.http.gate import Gate, TokenBuckets
 from jointplay.app.http.middleware import BodyLimit, RequestLog, SecurityHeaders, State
 from jointplay.app.http.proxies import Proxies
 from jointplay.app.http.query import refuse_unknown
 from jointplay.app.http.stored import Stored
 from jointplay.app.jobs.build_runner import BuildRunner
+from jointplay.app.jobs.build_watch import BuildWatch
 from jointplay.app.jobs.housekeeper import Housekeeper
 from jointplay.app.jobs.key_uses import keep_storing_uses, store_uses
 from jointplay.app.jobs.scrubber import Scrubber
@@ -115,6 +116,8 @@ def create_app(settings: ServiceSettings | None = None, *, warm: bool = False) -
         metrics.registry.register(Stored(service))
         application.state.service = service
         application.state.keys = kept_keys = Keys(store.database)
+        application.state.watch = BuildWatch(queue, service.stopping)
+        application.state.failed_sign_ins = TokenBuckets(signin.FAILURES_PER_S, signin.FAILURES)
         runner.start()
         sender = WebhookSender(Webhooks(store.database), chosen.webhooks_private, metrics.count_delivery)
         sender.start()

@@ -121,6 +121,7 @@ TABLE: dict[type[Exception], ProblemKind] = {
     errors.StorageFullError: ProblemKind(507, "storage-full", "There is no space left"),
     errors.TimeLimitError: ProblemKind(504, "time-limit", "The computation took too long"),
     errors.WorkerDiedError: ProblemKind(500, "worker-died", "A worker process ended early"),
+    errors.ClientGoneError: ProblemKind(499, "client-gone", "The client has gone"),
     errors.UnauthorizedError: ProblemKind(401, "unauthorized", "A key is needed"),
     errors.ForbiddenError: ProblemKind(403, "forbidden", "This is not allowed"),
     errors.UnknownKeyError: ProblemKind(404, "unknown-key", "No such key"),

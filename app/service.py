@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import io
 import json
 import threading
@@ -116,8 +115,7 @@ class Service:
         """Let every worker load what a diagnosis needs, so that the first one does not wait for it."""
         offers = await run_in_threadpool(self.shelf.offers)
         shown = [(str(offer.path), offer.stamp) for offer in offers]
-        workers = range(self.settings.workers)
-        await asyncio.gather(*(self.pool.run(tasks.warm, shown) for _ in workers), return_exceptions=True)
+        await self.pool.warm(tasks.warm, shown)
 
     async def add_measurement(self, upload: Upload, name: str, told: Told, asset: str | None = None) -> MeasurementRow:
         """Read an uploaded recording or spectrum in a worker and store it, as one of an asset where that is named."""

@@ -80,6 +80,14 @@ class ServiceSettings(BaseSettings):
     rate_burst: float = Field(
         default=2000.0, ge=1, description="Requests that may come at once before the limit a second counts; then 429."
     )
+    connections: int = Field(
+        default=1000,
+        ge=2,
+        description="Connections at a time, at most half of the files that the process may have open.",
+    )
+    connections_per_address: int = Field(
+        default=250, ge=1, description="Connections of one address at a time, at most half of all; a proxy is one."
+    )
     receive_timeout_s: float = Field(
         default=30.0, gt=0, description="Longest time that the body of a request may pause, in seconds; then 408."
     )

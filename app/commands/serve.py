@@ -5,7 +5,6 @@ from __future__ import annotations
 import ipaddress
 import logging
 import signal
-import socket
 from math import ceil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -48,9 +47,9 @@ def command(
 
     Every setting may also come from the environment, as JOINTPLAY_ and the setting's name in capitals.
     """
-    import uvicorn
     from pydantic import ValidationError
 
+    from jointplay.app.http.connections import Server, listen, most_connections
     from jointplay.app.logs import LogSettings, configure
     from jointplay.app.main import create_app
     from jointplay.app.settings import ServiceSettings
@@ -74,30 +73,28 @@ def command(
     configure(LogSettings(settings.log_format, settings.log_level))
     if not settings.catalogues.is_dir():
         say(settings, f"{settings.catalogues}: no catalogues there yet; `jointplay build` makes one")
-    application = create_app(settings, warm=True)
+    most = most_connections(settings)
     listener = listen(host, port)
     say(settings, f"serving http://{host}:{listener.getsockname()[1]}")
     if settings.keys == "required":
         say(settings, "requests need a key; `jointplay keys create NAME` makes one")
-
-    class Server(uvicorn.Server):
-        async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-            # Before it waits for answers to end: a stream of events would go on as long as somebody reads it.
-            application.state.service.stop()
-            await super().shutdown(sockets)
-
-    config = uvicorn.Config(
+    application = create_app(settings, warm=True)
+    server = Server(
         application,
+        listener,
+        most,
+        min(settings.connections_per_address, max(1, most // 2)),
+        # Before it waits for answers to end: a stream of events would go on as long as somebody reads it.
+        before_stop=lambda: application.state.service.stop(),
         server_header=False,
         log_config=None,
         access_log=False,
         proxy_headers=False,  # the application believes those of proxies that it is told of, and no others
         timeout_graceful_shutdown=ceil(settings.stop_limit_s),
     )
-    server = Server(config)
     # The server takes SIGTERM itself, and sends it again when it has stopped: a stop in good order is no failure (0).
     signal.signal(signal.SIGTERM, lambda _number, _frame: None)
-    server.run(sockets=[listener])
+    server.run()
     if not server.started:
         raise click.exceptions.Exit(1)
 
@@ -125,23 +122,3 @@ def answering(settings: ServiceSettings, host: str) -> ServiceSettings:
     except ValueError:
         every = False
     return settings if every else settings.model_copy(update={"hosts": f"{settings.hosts},{host}"})
-
-
-def listen(host: str, port: int) -> socket.socket:
-    """Return a socket that listens at an address; one that is taken is refused in one line.
-
-    Raises
-    ------
-    AddressError
-        When the address cannot be had.
-    """
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    # Without its protocol's name, asyncio would not switch delays off (TCP_NODELAY) on connections.
-    listener = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
-    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    try:
-        listener.bind((host, port))
-    except OSError as error:
-        listener.close()
-        raise AddressError(f"{host}:{port}: {error.strerror or error}") from None
-    return listener

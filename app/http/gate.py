@@ -57,12 +57,19 @@ class TokenBuckets:
 
     def take(self, client: str) -> float:
         """Take a token; return 0, or when the bucket is empty the time until there is one [s]."""
-        present = self._clock()
-        tokens, filled_at = self._buckets.get(client, (self._burst, present))
-        tokens = min(self._burst, tokens + (present - filled_at) * self._rate)
+        present, tokens = self._look_at(client)
         wait = 0.0 if tokens >= 1 else (1 - tokens) / self._rate
         self._buckets[client] = (tokens if wait else tokens - 1, present)
         return wait
+
+    def wait(self, client: str) -> float:
+        """Return the time until there is a token [s], which nobody takes."""
+        return max(0.0, (1 - self._look_at(client)[1]) / self._rate)
+
+    def _look_at(self, client: str) -> tuple[float, float]:
+        present = self._clock()
+        tokens, filled_at = self._buckets.get(client, (self._burst, present))
+        return present, min(self._burst, tokens + (present - filled_at) * self._rate)
 
     def __len__(self) -> int:
         """Return the number of clients that are remembered."""

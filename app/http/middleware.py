@@ -29,6 +29,7 @@ from jointplay.app.errors import BadRequestError, NotReadyError, SlowRequestErro
 from jointplay.app.http.gate import address, host_name
 from jointplay.app.http.handlers import handle, path_of
 from jointplay.app.http.uploads import MULTIPART
+from jointplay.app.jobs.clients import Client, working_for
 from jointplay.app.metrics import Metrics
 from jointplay.app.scopes import API
 from jointplay.app.service import Service
@@ -63,6 +64,10 @@ RECORDINGS = f"{API}/measurements"
 DIAGNOSES = f"{API}/diagnoses"
 RECORDING_BYTES = 16_000_000
 """Largest recording as JSON, which is held in memory; a file is not."""
+FORMS = {"/sign-in": 4000, "/sign-out": 4000}
+"""Largest form that is taken without a key [bytes]."""
+SLOWEST = 1000
+"""Slowest that a body may come, after its first seconds [bytes/s]."""
 
 log = logging.getLogger(__name__)
 HEADER = "X-Request-ID"
@@ -105,6 +110,8 @@ def is_secured(scope: Scope) -> bool:
 class BodyLimit:
     """Middleware that stops reading a body at its limit, so that no upload is ever held whole in memory.
 
+    Whoever reads bodies knows when a client has gone, so it says, too, whom the workers' tasks of a request are for.
+
     Parameters
     ----------
     app : ASGIApp
@@ -113,7 +120,7 @@ class BodyLimit:
         Largest multipart body where files are taken; any other body may have at most `JSON_BYTES`, a recording
         `RECORDING_BYTES`.
     receive_timeout : float
-        Longest pause between two parts of a body [s].
+        Longest pause between two parts of a body, and time after which `SLOWEST` counts [s].
     """
 
     def __init__(self, app: ASGIApp, upload_bytes: int, receive_timeout: float) -> None:
@@ -126,36 +133,48 @@ class BodyLimit:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        headers = Request(scope).headers
+        request = Request(scope)
+        headers = request.headers
         multipart = headers.get("content-type", "").lower().startswith("multipart/") and takes_files(path_of(scope))
         usual = RECORDING_BYTES if path_of(scope) == RECORDINGS else JSON_BYTES
-        limit = self._upload_bytes if multipart else min(usual, self._upload_bytes)
+        limit = self._upload_bytes if multipart else min(FORMS.get(path_of(scope), usual), self._upload_bytes)
         declared = headers.get("content-length", "0")
         received = 0
         whole = False
+        began: float | None = None
 
         async def counted() -> Message:
-            nonlocal received, whole
+            nonlocal received, whole, began
             if not declared.isdecimal():
                 raise BadRequestError(f"Content-Length: {declared}: must be a whole number")
             # A declared length is refused before the first byte is read, an undeclared one when the limit is passed.
             if int(declared) > limit:
                 raise too_large(limit)
+            moment = time.monotonic()
+            began = moment if began is None else began
+            left = began + self._receive_timeout + received / SLOWEST - moment
             # After the body the same call waits for the client to go, as long as an answer takes.
             try:
-                async with asyncio.timeout(None if whole else self._receive_timeout):
+                async with asyncio.timeout(None if whole else min(left, self._receive_timeout)):
                     message = await receive()
             except TimeoutError:
-                raise SlowRequestError(
-                    f"the request body paused for longer than {self._receive_timeout:g} s, the limit of this service"
-                ) from None
+                how = f"paused for longer than {self._receive_timeout:g} s"
+                if left < self._receive_timeout:
+                    how = f"came slower than {SLOWEST} bytes a second"
+                raise SlowRequestError(f"the request body {how}, the limit of this service") from None
             received += len(message.get("body", b""))
             whole = not message.get("more_body", False)
             if received > limit:
                 raise too_large(limit)
             return message
 
-        await self._app(scope, counted, send)
+        async def leave() -> None:
+            while (await counted())["type"] != "http.disconnect":
+                pass
+
+        name = getattr(request.state, "key", None) or address(request)
+        with working_for(Client(name, leave)):
+            await self._app(scope, counted, send)
 
 
 def takes_files(path: str) -> bool:

@@ -6,16 +6,19 @@ from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import PurePosixPath
+from urllib.parse import parse_qsl
 
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import UploadFile
 from starlette.requests import Request
 
-from jointplay.app.errors import BadFieldError, UnsupportedMediaError
+from jointplay.app.errors import BadFieldError, BadRequestError, UnsupportedMediaError, UploadTooLargeError
 from jointplay.app.storage.store import Store, Upload
 
 MULTIPART = "multipart/form-data"
+URLENCODED = "application/x-www-form-urlencoded"
 JSON_TYPE = "application/json"
+PLAIN_BYTES, MAX_PLAIN_FIELDS = 64_000, 300
 MAX_FIELDS = 32
 MAX_FIELD_BYTES = 16_000
 MAX_PROFILE_BYTES = 32_000
@@ -56,6 +59,37 @@ async def json_body(request: Request) -> None:
     kind = media_type(request)
     if kind != JSON_TYPE:
         raise UnsupportedMediaError(f"Content-Type: {kind or 'none'}: must be {JSON_TYPE}")
+
+
+async def plain_fields(request: Request, most: int = PLAIN_BYTES) -> list[tuple[str, str]]:
+    """Return names and values of a form without files, in order; empty values count.
+
+    Parameters
+    ----------
+    request : Request
+    most : int
+        Largest body [bytes].
+
+    Raises
+    ------
+    UnsupportedMediaError
+        When the body is no such form.
+    UploadTooLargeError
+        When it is larger.
+    BadRequestError
+        When it has too many fields.
+    """
+    kind = media_type(request)
+    if kind != URLENCODED:
+        raise UnsupportedMediaError(f"Content-Type: {kind or 'none'}: must be {URLENCODED}")
+    body = await request.body()
+    if len(body) > most:
+        raise UploadTooLargeError(f"the form is larger than {most / 1000:g} kB, the limit of this page")
+    text = body.decode("utf-8", "replace")
+    count = text.count("&") + 1
+    if count > MAX_PLAIN_FIELDS:  # before the first of them is read
+        raise BadRequestError(f"{count} fields: a form may have at most {MAX_PLAIN_FIELDS}")
+    return await run_in_threadpool(parse_qsl, text, keep_blank_values=True)
 
 
 @asynccontextmanager

@@ -27,6 +27,10 @@ if TYPE_CHECKING:
     from jointplay.solver.simulation.account import Account
 
 
+MOST = {"links": 64, "joints": 128}
+"""Of what a machine may have how much: its check and its account then take some 15 s of a processor."""
+
+
 @dataclass(frozen=True)
 class DiagnosisTask:
     """What a recording is compared with, and how.
@@ -243,11 +247,17 @@ def account_for(machine: Machine, text: str) -> dict[str, Any]:
 
 
 def parse_lines(text: str, name: str) -> Machine:
-    """Read a machine file; a refusal has its line."""
+    """Read a machine file; a refusal has its line. What is done with it next takes the longer the more it has."""
+    from jointplay.solver.errors import MachineError
     from jointplay.solver.machines.machine import parse_machine
 
     with lines_of(text):
-        return parse_machine(text, name)
+        machine = parse_machine(text, name)
+        for field, most in MOST.items():
+            count = len(getattr(machine, field))
+            if count > most:
+                raise MachineError(name, field, str(count), f"must be at most {most} in a machine sent to a service")
+    return machine
 
 
 def sizes_of(machine: Machine, text: str) -> Account:

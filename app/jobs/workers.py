@@ -1,7 +1,7 @@
 """Worker processes for everything that computes longer than a moment, each task under a time limit.
 
 A thread cannot be stopped, a process can: a recording that takes too long or eats the memory costs one
-worker, which is replaced, and never the service.
+worker, which is replaced, and never the service. So does a task whose client has gone, if it is not done soon.
 """
 
 from __future__ import annotations
@@ -16,12 +16,17 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from jointplay.app import logs
-from jointplay.app.errors import BusyError, TimeLimitError, WorkerDiedError
+from jointplay.app.errors import ClientGoneError, TimeLimitError, WorkerDiedError
+from jointplay.app.jobs.clients import client_here
+from jointplay.app.jobs.turns import Turns
 from jointplay.app.logs import DEFAULT_LOG, LogSettings
 from jointplay.app.problems import Problem, problem_of
 from jointplay.catalogue.processes import OneProcess, become_worker
 
 log = logging.getLogger(__name__)
+
+PATIENCE_S = 5.0
+"""Longest time that a task goes on without its client [s]: about what a new process takes of a processor."""
 
 
 class TaskFailedError(Exception):
@@ -96,7 +101,7 @@ class Watch(Protocol):
 
 
 class WorkerPool:
-    """A fixed number of workers and a queue of limited length in front of them.
+    """A fixed number of workers and a queue of limited length in front of them, with a lane for each client.
 
     Parameters
     ----------
@@ -120,13 +125,15 @@ class WorkerPool:
         watch: Watch | None = None,
     ) -> None:
         self._watch = watch
-        self._queue_limit = queue_limit
         self._time_limit = time_limit
-        self._waiting = 0
+        self._turns: Turns[OneProcess] = Turns(queue_limit)
         self._workers = [OneProcess(prepare, log_settings) for _ in range(workers)]
-        self._free: asyncio.Queue[OneProcess] = asyncio.Queue()
-        for worker in self._workers:
-            self._free.put_nowait(worker)
+        self._free = list(self._workers)
+        self._count, self._missing = workers, 0
+        self._spare = OneProcess(prepare, log_settings)
+        self._ready: list[OneProcess] = []
+        self._first: tuple[Callable[..., Any], tuple[Any, ...]] | None = None
+        self._behind: set[asyncio.Task[None]] = set()
 
     async def run(self, task: Callable[..., Any], *args: Any, times: float = 1.0) -> Any:
         """Run a task in a worker and return its value.
@@ -150,15 +157,45 @@ class WorkerPool:
             When the task raised.
         WorkerDiedError
             When the process ended early.
+        ClientGoneError
+            When whoever asked has gone; the task is given `PATIENCE_S`, and then its process is ended.
         """
-        if self._waiting >= self._queue_limit:
-            raise BusyError(f"{self._waiting} requests wait for a worker already; try again in a few seconds")
-        self._waiting += 1
-        asked = time.perf_counter()
+        client, asked = client_here(), time.perf_counter()
+        place = self._turns.join(client.name)
+        self._hand_out()
+        leaving = asyncio.ensure_future(client.leave())
+        leaving.add_done_callback(lambda each: each.cancelled() or each.exception())  # perhaps nobody asks for it
+        working: asyncio.Task[WorkerOutcome] | None = None
         try:
-            worker = await self._free.get()
+            await first_of(place, leaving)
+            if not place.done():
+                raise gone(leaving)
+            working = asyncio.create_task(self._work(place.result(), client.name, asked, times, task, args))
+            await first_of(working, leaving)
+            if not working.done():
+                self._keep(asyncio.create_task(let_end(working)))
+                raise gone(leaving)
+            return working.result().result()
+        except asyncio.CancelledError:
+            if working is not None:
+                working.cancel()
+                await asyncio.wait([working])
+            raise
         finally:
-            self._waiting -= 1
+            leaving.cancel()
+            if working is None:
+                self._give_up(client.name, place)
+
+    async def _work(
+        self,
+        worker: OneProcess,
+        client: str,
+        asked: float,
+        times: float,
+        task: Callable[..., Any],
+        args: tuple[Any, ...],
+    ) -> WorkerOutcome:
+        """Run a task in a worker that was got for it, and give the worker back."""
         limit, said = times * self._time_limit, "" if times == 1.0 else " for this"
         began = time.perf_counter()
         came_to = "failed"
@@ -168,32 +205,98 @@ class WorkerPool:
             came_to = outcome.kind
         except TimeoutError:
             came_to = "time-limit"
-            end(worker)
             raise TimeLimitError(f"stopped after {limit:g} s, the time limit of this service{said}") from None
         except (BrokenProcessPool, OSError):
             came_to = "worker-died"
-            end(worker)
             raise WorkerDiedError("the process that computed this ended early, perhaps for want of memory") from None
         except asyncio.CancelledError:
             came_to = "cancelled"
-            end(worker)
             raise
         finally:
-            self._free.put_nowait(worker)
+            self._turns.end(client)
+            if came_to in ("time-limit", "worker-died", "cancelled"):
+                end(worker)
+                self._replace(worker)
+            else:
+                self._put_back(worker)
             if self._watch is not None:
                 self._watch.count_wait(task.__name__, began - asked)
                 self._watch.count_work(task.__name__, came_to, time.perf_counter() - began)
-        return outcome.result()
+        return outcome
+
+    async def warm(self, task: Callable[..., Any], *args: Any) -> None:
+        """Run a task in every worker that is free, and from now on in every new process before it gets another."""
+        self._first = (task, args)
+        self._missing, free, self._free = self._missing + len(self._free), self._free, []
+        await asyncio.gather(*(self._refill(worker) for worker in free))
+
+    def _replace(self, worker: OneProcess) -> None:
+        """Put a process that is ready in the place of one that was ended, and let that one load behind."""
+        if self._ready:
+            self._put_back(self._ready.pop())
+        elif self._first is None:
+            self._put_back(worker)
+            return
+        else:
+            self._missing += 1
+        self._keep(asyncio.create_task(self._recover(worker)))
+
+    async def _recover(self, worker: OneProcess) -> None:
+        """Let a process load; from the first that was ended on there is one more than work."""
+        await self._refill(worker)
+        if self._spare not in self._workers:
+            self._workers.append(self._spare)
+            await self._refill(self._spare)
+
+    async def _refill(self, worker: OneProcess) -> None:
+        """Let a process load what tasks need, and then have tasks where one is missing."""
+        assert self._first is not None
+        task, args = self._first
+        try:
+            async with asyncio.timeout(self._time_limit):
+                await run_in(worker, task, args)
+        except (TimeoutError, BrokenProcessPool, OSError) as error:
+            log.warning("a new worker could not be made ready: %s", error or type(error).__name__)
+            end(worker)
+        except asyncio.CancelledError:
+            end(worker)
+            raise
+        finally:
+            if self._missing:
+                self._missing -= 1
+                self._put_back(worker)
+            else:
+                self._ready.append(worker)
+
+    def _keep(self, task: asyncio.Task[None]) -> None:
+        """Hold a task that nobody waits for until it is done."""
+        self._behind.add(task)
+        task.add_done_callback(self._behind.discard)
+
+    def _put_back(self, worker: OneProcess) -> None:
+        self._free.append(worker)
+        self._hand_out()
+
+    def _hand_out(self) -> None:
+        while self._free and self._turns.serve(self._free[0]):
+            del self._free[0]
+
+    def _give_up(self, client: str, place: asyncio.Future[OneProcess]) -> None:
+        """Leave the queue, or give a worker back that was got too late."""
+        self._turns.leave(client, place)
+        if place.done() and not place.cancelled() and place.exception() is None:
+            self._turns.end(client)
+            self._put_back(place.result())
 
     @property
     def waiting(self) -> int:
         """Number of tasks that wait for a worker."""
-        return self._waiting
+        return len(self._turns)
 
     @property
     def busy(self) -> int:
         """Number of workers that have a task."""
-        return len(self._workers) - self._free.qsize()
+        return self._count - len(self._free)
 
     def processes(self) -> list[tuple[str, int]]:
         """Return names and ids of the processes that were started."""
@@ -209,10 +312,9 @@ class WorkerPool:
             Longest time that a process may take to start.
         """
         for _ in range(2):  # the second time with a fresh one
-            try:
-                worker = self._free.get_nowait()
-            except asyncio.QueueEmpty:
+            if not self._free:
                 return True  # all of them are at work, and each under its time limit
+            worker = self._free.pop(0)
             try:
                 async with asyncio.timeout(seconds):
                     await run_in(worker, os.getpid, ())
@@ -224,13 +326,35 @@ class WorkerPool:
                 end(worker)
                 raise
             finally:
-                self._free.put_nowait(worker)
+                self._put_back(worker)
         return False
 
     def close(self) -> None:
         """End all processes."""
+        self._first = None
+        for task in self._behind:
+            task.cancel()
         for worker in self._workers:
             end(worker)
+
+
+async def first_of(wanted: asyncio.Future[Any], leaving: asyncio.Future[None]) -> None:
+    """Wait for what is wanted, or for the client to go."""
+    await asyncio.wait({wanted, leaving}, return_when=asyncio.FIRST_COMPLETED)
+
+
+def gone(leaving: asyncio.Future[None]) -> Exception:
+    """Return why nobody waits for an answer any more."""
+    return leaving.exception() or ClientGoneError("the client has gone")  # type: ignore[return-value]
+
+
+async def let_end(working: asyncio.Task[WorkerOutcome]) -> None:
+    """Give a task that nobody waits for the time that a new process would take, and then stop it."""
+    try:
+        await asyncio.wait([working], timeout=PATIENCE_S)
+    finally:
+        working.cancel()
+        await asyncio.gather(working, return_exceptions=True)
 
 
 async def run_in(worker: OneProcess, task: Callable[..., Any], args: tuple[Any, ...]) -> WorkerOutcome:

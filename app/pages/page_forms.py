@@ -7,9 +7,9 @@ from typing import Any
 
 from fastapi import Request
 
-from jointplay.app.errors import BadFieldError, BadRequestError, UnsupportedMediaError
+from jointplay.app.errors import BadFieldError, BadRequestError
 from jointplay.app.fields import TOLD
-from jointplay.app.http.uploads import media_type
+from jointplay.app.http.uploads import PLAIN_BYTES, plain_fields
 from jointplay.app.http.validation import validate
 from jointplay.app.problems import Problem
 from jointplay.app.schemas.resources import DiagnosisRequest
@@ -23,8 +23,8 @@ SAID = tuple(sorted(TOLD))
 UPLOAD = ("catalogue", "file", "asset", *SAID)
 CONFIRM = ("measurement", "catalogue", "asset", "speed", "effort", "mode", "prior", "mapping")
 NOT_USED = "-"
-URLENCODED = "application/x-www-form-urlencoded"
-MAX_FIELDS = 200
+TEXT_BYTES = 1_000_000
+"""Largest form with a whole text in it."""
 
 
 async def plain_form(request: Request, text: str = "") -> dict[str, str]:
@@ -41,16 +41,13 @@ async def plain_form(request: Request, text: str = "") -> dict[str, str]:
     UnsupportedMediaError
         For a body of another type.
     BadRequestError
-        For a body with a field given twice.
+        For a body with too many fields, or one given twice.
     """
-    if media_type(request) != URLENCODED:
-        raise UnsupportedMediaError(f"Content-Type: {media_type(request) or 'none'}: must be {URLENCODED}")
     given: dict[str, str] = {}
-    async with request.form(max_fields=MAX_FIELDS) as form:
-        for name, value in form.multi_items():
-            if name in given:
-                raise BadRequestError(f"{name[:80]}: is given twice")
-            given[name] = str(value).replace("\r\n", "\n") if name == text else str(value).strip()
+    for name, value in await plain_fields(request, TEXT_BYTES if text else PLAIN_BYTES):
+        if name in given:
+            raise BadRequestError(f"{name[:80]}: is given twice")
+        given[name] = value.replace("\r\n", "\n") if name == text else value.strip()
     return {name: value for name, value in given.items() if value.strip()}
 
 

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import asyncio
 import hashlib
-import logging
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncGenerator
+from functools import partial
 from typing import Any
 
 from fastapi import APIRouter, Request, Response
-from sqlalchemy.exc import SQLAlchemyError
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import StreamingResponse
+from starlette.types import Receive, Scope, Send
 
 from jointplay.app.errors import UnsupportedMediaError
 from jointplay.app.etags import respond
@@ -22,15 +21,16 @@ from jointplay.app.http.openapi import problems
 from jointplay.app.http.uploads import media_type
 from jointplay.app.http.validation import validate
 from jointplay.app.jobs.build_orders import order
+from jointplay.app.jobs.build_watch import BuildWatch, event_id
+from jointplay.app.jobs.clients import client_here
 from jointplay.app.routes.diagnoses import JSON_TYPE, parse
 from jointplay.app.routes.machines import Cursor, Limit
 from jointplay.app.schemas.builds import BuildOut, BuildPage, BuildRequest
-from jointplay.app.service import Service, of_request
+from jointplay.app.service import of_request
 from jointplay.app.storage.build_queue import ENDED, build_out
 from jointplay.app.storage.idempotency import IdempotencyKey, once
 
 router = APIRouter(prefix="/builds", tags=["builds"])
-log = logging.getLogger(__name__)
 
 STREAM_TYPE = "text/event-stream"
 EVENT: dict[str, Any] = {
@@ -43,8 +43,6 @@ EVENT: dict[str, Any] = {
         "data": {"type": "string", "contentMediaType": JSON_TYPE},
     },
 }
-LOOK_S = 0.5
-HEARTBEAT_S = 15.0
 
 
 def body() -> dict[str, Any]:
@@ -126,35 +124,27 @@ async def remove(request: Request, key: str, why: Why = "", idempotency_key: Ide
 )
 async def events(request: Request, key: str) -> Response:
     """Follow a build: server-sent events."""
-    service = of_request(request)
+    service, moment = of_request(request), time.monotonic()
     row = await run_in_threadpool(service.builds.find, key)
-    text = build_out(row).model_dump_json()
-    if row.state in ENDED and request.headers.get("last-event-id") == event_id(text):
+    if row.state in ENDED and request.headers.get("last-event-id") == event_id(build_out(row).model_dump_json()):
         return Response(status_code=204)
-    return StreamingResponse(follow(service, key), media_type=STREAM_TYPE, headers={"Cache-Control": "no-store"})
+    watch: BuildWatch = request.app.state.watch
+    return Stream(watch, client_here().name, watch.follow(row, moment))
 
 
-async def follow(service: Service, key: str) -> AsyncIterator[str]:
-    """Give the state of a build whenever it has changed, and a sign of life in between."""
-    shown, last = "", time.monotonic()
-    while not service.stopping.is_set():
+class Stream(StreamingResponse):
+    """Events for a client, who may listen to so many at a time."""
+
+    def __init__(self, watch: BuildWatch, client: str, events: AsyncGenerator[str, None]) -> None:
+        super().__init__(events, media_type=STREAM_TYPE, headers={"Cache-Control": "no-store"})
+        watch.enter(client)
+        self._left = partial(watch.leave, client)
+        self._events = events
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Send them, until there are no more or nobody listens."""
         try:
-            row = await run_in_threadpool(service.builds.find, key)
-        except SQLAlchemyError as error:  # whoever listens learns more when it is back
-            log.warning("build %s cannot be followed: %s", key, str(error).partition("\n")[0])
-        else:
-            text = build_out(row).model_dump_json()
-            if text != shown:
-                yield f"event: state\nid: {event_id(text)}\ndata: {text}\n\n"
-                shown, last = text, time.monotonic()
-            if row.state in ENDED:
-                return
-        if time.monotonic() - last >= HEARTBEAT_S:
-            yield ": alive\n\n"
-            last = time.monotonic()
-        await asyncio.sleep(LOOK_S)
-
-
-def event_id(text: str) -> str:
-    """Return the id of an event: the same state has the same."""
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
+            await super().__call__(scope, receive, send)
+        finally:
+            self._left()
+            await self._events.aclose()

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from urllib.parse import parse_qs
+from math import ceil
 
 from fastapi import APIRouter, Request
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import RedirectResponse, Response
 
-from jointplay.app.errors import UnauthorizedError, UnsupportedMediaError
-from jointplay.app.http.gate import COOKIE, address
+from jointplay.app.errors import RateLimitedError, UnauthorizedError
+from jointplay.app.http.gate import COOKIE, TokenBuckets, address
 from jointplay.app.http.handlers import templates
-from jointplay.app.http.uploads import media_type
+from jointplay.app.http.uploads import plain_fields
 from jointplay.app.service import of_request
 from jointplay.app.storage.keys import SESSION, Keys
 
 router = APIRouter()
-FORM = "application/x-www-form-urlencoded"
+FAILURES, FAILURES_PER_S = 10, 0.2
+"""Keys that do not hold which an address may send at once, and a second in the long run."""
 
 
 @router.get("/sign-in")
@@ -31,15 +32,21 @@ async def form(request: Request) -> Response:
 @router.post("/sign-in")
 async def sign_in(request: Request) -> Response:
     """Open a session for a key."""
-    if media_type(request) != FORM:
-        raise UnsupportedMediaError(f"Content-Type: {media_type(request) or 'none'}: must be {FORM}")
-    fields = parse_qs((await request.body()).decode("utf-8", "replace"))
-    place = local(fields.get("next", ["/"])[0])
+    fields = dict(await plain_fields(request))
+    place = local(fields.get("next", "/"))
     keys: Keys = request.app.state.keys
+    failures: TokenBuckets = request.app.state.failed_sign_ins
+    sender = address(request)
+    if wait := failures.wait(sender):
+        error = RateLimitedError("too many keys that do not hold; Retry-After says when to try again", ceil(wait))
+        response = show_form(request, place, str(error), 429)
+        response.headers.update(error.headers)
+        return response
     try:
-        key = await run_in_threadpool(keys.find, fields.get("key", [""])[0].strip())
+        key = await run_in_threadpool(keys.find, fields.get("key", "").strip())
     except UnauthorizedError as error:
-        await run_in_threadpool(keys.note_refusal, address(request))
+        failures.take(sender)
+        await run_in_threadpool(keys.note_refusal, sender)
         return show_form(request, place, str(error), 401)
     token = await run_in_threadpool(keys.open_session, key)
     response = RedirectResponse(place, status_code=303)

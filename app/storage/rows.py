@@ -66,9 +66,10 @@ def check_row(row: Any, *_: object) -> None:
         raise damaged_row(row.__tablename__, getattr(row, row.NAME), row.number)
 
 
+@event.listens_for(Sealed, "before_insert", propagate=True)
 @event.listens_for(Sealed, "before_update", propagate=True)
 def seal_again(_mapper: object, _connection: object, row: Any) -> None:
-    """Give a row that changes the checksum of what it is then."""
+    """Give a row that is made or changes the checksum of what it is then."""
     row.checksum = row.digest()
 
 

@@ -8,9 +8,9 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 
 import httpx
-import uvicorn
 from starlette.types import ASGIApp
 
+from jointplay.app.http.connections import Server, listen
 from jointplay.app.main import create_app
 from jointplay.app.settings import ServiceSettings
 
@@ -31,9 +31,9 @@ def serving(settings: ServiceSettings, *, warm: bool = False) -> Iterator[str]:
 
 
 @contextmanager
-def running(application: ASGIApp) -> Iterator[str]:
+def running(application: ASGIApp, most: int = 200, most_of_one: int = 200) -> Iterator[str]:
     """Run an application by a real server in a thread; gives its address."""
-    server = uvicorn.Server(uvicorn.Config(application, port=0, log_level="warning", proxy_headers=False))
+    server = Server(application, listen("127.0.0.1", 0), most, most_of_one, log_level="warning", proxy_headers=False)
     thread = threading.Thread(target=server.run, daemon=True)
     thread.start()
     deadline = time.monotonic() + 300

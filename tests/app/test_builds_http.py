@@ -18,6 +18,7 @@ import httpx
 import pytest
 from small_service import PLAN, asking
 
+from jointplay.app.jobs import build_watch
 from jointplay.app.settings import ServiceSettings
 from jointplay.catalogue.building.build import build
 from jointplay.catalogue.plans.plan import parse_plan
@@ -81,6 +82,21 @@ def test_a_build_waits_is_followed_and_cancelled(idle: httpx.Client) -> None:
         assert [state["state"] for state in states(stream)] == ["cancelled"]
     again = idle.get(f"{place}/events", headers={"Last-Event-ID": rest[1].removeprefix("id: ")})
     assert again.status_code == 204
+
+
+def test_one_client_listens_to_so_many_streams(idle: httpx.Client, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(build_watch, "MOST_OF_ONE", 1)
+    place = idle.post(f"{API}/builds", json=ASKED).headers["location"]
+    with idle.stream("GET", f"{place}/events") as stream:
+        lines = stream.iter_lines()
+        assert next(lines) == "event: state"
+        refused = idle.get(f"{place}/events")
+        assert refused.status_code == 429, refused.text
+        assert refused.headers["retry-after"] == "5"
+        idle.post(f"{place}/cancel")
+        assert list(lines)[-1] == ""
+    with idle.stream("GET", f"{place}/events") as stream:
+        assert stream.status_code == 200
 
 
 def test_a_build_that_is_asked_for_again_with_its_key_is_one(idle: httpx.Client) -> None:

@@ -17,6 +17,7 @@ from jointplay.app.commands.serve import answering, loopback
 from jointplay.app.http.gate import CLIENTS_REMEMBERED, TokenBuckets
 from jointplay.app.http.middleware import JSON_BYTES
 from jointplay.app.main import create_app
+from jointplay.app.routes import signin
 from jointplay.app.scopes import API, Scope
 from jointplay.app.settings import ServiceSettings
 
@@ -87,6 +88,34 @@ def mounted(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, dic
     with running(outer) as address:
         token = inner.state.keys.create("test", frozenset({Scope.READ}), timedelta(days=1))[1]
         yield f"{address}/plant", {"Authorization": f"Bearer {token}"}
+
+
+def test_keys_that_do_not_hold_are_taken_ever_more_slowly_of_an_address(mounted: tuple[str, dict[str, str]]) -> None:
+    address, reader = mounted
+    key = reader["Authorization"].removeprefix("Bearer ")
+
+    def enter(key: str, source: str) -> httpx.Response:
+        with httpx.Client(transport=httpx.HTTPTransport(local_address=source)) as sender:
+            return sender.post(f"{address}/sign-in", data={"key": key})
+
+    wrong = [enter("wrong", "127.0.0.3").status_code for _ in range(signin.FAILURES + 5)]
+    assert wrong[: signin.FAILURES] == [401] * signin.FAILURES
+    assert wrong[-1] == 429 or wrong.count(429) >= 1
+    refused = enter(key, "127.0.0.3")
+    while refused.status_code != 429:  # one was given back meanwhile
+        refused = enter("wrong", "127.0.0.3")
+    assert 1 <= int(refused.headers["retry-after"]) <= 5
+    assert "too many keys that do not hold" in refused.text
+    assert enter(key, "127.0.0.4").status_code == 303
+
+
+def test_a_form_to_sign_in_is_small(mounted: tuple[str, dict[str, str]]) -> None:
+    address, _ = mounted
+    refused = httpx.post(f"{address}/sign-in", data={"key": "x" * 4000})
+    assert (refused.status_code, refused.json()["detail"]) == (
+        413,
+        "the request body is larger than 0.004 MB, the limit of this service",
+    )
 
 
 @pytest.mark.parametrize(

@@ -13,8 +13,10 @@ import pytest
 from small_service import asking
 
 from jointplay.app.etags import Conditions
+from jointplay.app.jobs import tasks
 from jointplay.app.settings import ServiceSettings
 from jointplay.app.storage.machine_store import MachineStore
+from jointplay.solver.errors import MachineError
 from jointplay.solver.machines.machine import parse_machine, shipped_machine, shipped_machine_text
 
 MACHINES = "/api/v1/machines"
@@ -166,3 +168,28 @@ def test_of_many_first_writers_one_wins(tmp_path: Path) -> None:
     assert MachineStore(tmp_path).find("press") == parse_machine(contents[won.index(True)])
     assert sorted(file.name for file in tmp_path.iterdir()) == [".lock", "press.json", "versions"]
     assert MachineStore(tmp_path).versions("press") == [1]
+
+
+@pytest.mark.parametrize(
+    ("links", "joints", "rule"),
+    [(65, 1, "links: 65: must be at most 64"), (2, 129, "joints: 129: must be at most 128")],
+)
+def test_a_machine_of_more_links_or_joints_than_are_taken_is_refused_before_it_is_looked_at(
+    links: int, joints: int, rule: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def looked_at(*_given: object) -> None:
+        pytest.fail("it was looked at")
+
+    monkeypatch.setattr(tasks, "sizes_of", looked_at)
+    file: dict[str, Any] = {
+        "name": "row",
+        "links": {f"l{k}": {"mass": "1 kg", "inertia": 0.01, "cg": [0.1 * k, 0.1]} for k in range(1, links)},
+        "joints": {f"J{k}": {"kind": "turning", "links": ["l1", "base"], "at": [0.1 * k, 0]} for k in range(joints)},
+        "drive": {"kind": "rotation", "joint": "J0", "speed": "120 rpm"},
+    }
+    for k in range(2, links):
+        file["joints"] = {**file["joints"], f"K{k}": {"kind": "turning", "links": [f"l{k}", f"l{k - 1}"], "at": [0, k]}}
+    file["links"]["base"] = {"fixed": True}
+    with pytest.raises(MachineError, match=f"m: {rule} in a machine sent to a service"):
+        tasks.check_machine(json.dumps(file), "m")
+    assert rule in str(tasks.look_at_machine(json.dumps(file), "m").refusal)

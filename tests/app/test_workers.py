@@ -11,7 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from jointplay.app.errors import BusyError, TimeLimitError, WorkerDiedError
+from jointplay.app.errors import BusyError, ClientGoneError, SlowRequestError, TimeLimitError, WorkerDiedError
+from jointplay.app.jobs import workers
+from jointplay.app.jobs.clients import Client, working_for
 from jointplay.app.jobs.workers import TaskFailedError, WorkerPool
 from jointplay.solver.errors import MachineError
 
@@ -39,6 +41,12 @@ def die() -> None:
 
 def pid() -> int:
     return os.getpid()
+
+
+def mark(folder: Path) -> None:
+    while (folder / "held").exists():
+        time.sleep(0.01)
+    (folder / str(os.getpid())).touch()
 
 
 async def gone(process: int) -> bool:
@@ -132,6 +140,118 @@ def test_too_many_waiting_tasks_are_refused(tmp_path: Path) -> None:
             (tmp_path / "flag").touch()
             await running
             assert await waiting == 6
+        finally:
+            pool.close()
+
+    asyncio.run(story())
+
+
+class Leaving:
+    """A client that goes when it is told to, or whose request turns out to be wrong."""
+
+    def __init__(self, why: Exception | None = None) -> None:
+        self.gone = asyncio.Event()
+        self.why = why
+
+    async def leave(self) -> None:
+        await self.gone.wait()
+        if self.why is not None:
+            raise self.why
+
+
+@pytest.mark.parametrize("why", [ClientGoneError("the client has gone"), SlowRequestError("too slow")])
+def test_a_task_whose_client_has_gone_is_stopped_and_the_next_worker_is_ready(
+    why: Exception, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(workers, "PATIENCE_S", 0.0)
+
+    async def story() -> None:
+        pool = WorkerPool(1, 4, 300.0)
+        client = Leaving(why if isinstance(why, SlowRequestError) else None)
+        try:
+            await pool.warm(mark, tmp_path)
+            first = await pool.run(pid)
+            with working_for(Client("a", client.leave)):
+                task = asyncio.create_task(pool.run(wait_for, tmp_path / "never"))
+                behind = asyncio.create_task(pool.run(double, 1))
+            while not (pool.busy and pool.waiting):
+                await asyncio.sleep(0.01)
+            client.gone.set()
+            for each in (task, behind):
+                with pytest.raises(type(why), match=str(why)):
+                    await each
+            second = await pool.run(pid)
+            assert await gone(first)
+            assert {str(first), str(second)} <= {each.name for each in tmp_path.iterdir()}
+            assert (pool.busy, pool.waiting) == (0, 0)
+        finally:
+            pool.close()
+
+    asyncio.run(story())
+
+
+def test_after_the_first_that_was_ended_another_is_ready_at_once(tmp_path: Path) -> None:
+    async def story() -> None:
+        pool = WorkerPool(1, 4, 300.0)
+        try:
+            await pool.warm(mark, tmp_path)
+            with pytest.raises(WorkerDiedError):
+                await pool.run(die)
+            while not pool._ready:  # the spare one
+                await asyncio.sleep(0.01)
+            loaded = {int(each.name) for each in tmp_path.iterdir()}
+            (tmp_path / "held").touch()  # whatever is started now is never ready
+            with pytest.raises(WorkerDiedError):
+                await pool.run(die)
+            assert await pool.run(pid) in loaded
+            assert (pool.busy, len(loaded), len(pool.processes())) == (0, 3, 2)
+        finally:
+            pool.close()
+
+    asyncio.run(story())
+
+
+def test_a_task_that_is_done_soon_costs_no_worker_though_its_client_has_gone(tmp_path: Path) -> None:
+    async def story() -> None:
+        pool = WorkerPool(1, 4, 300.0)
+        client = Leaving()
+        try:
+            first = await pool.run(pid)
+            with working_for(Client("a", client.leave)):
+                task = asyncio.create_task(pool.run(wait_for, tmp_path / "flag"))
+            while not pool.busy:
+                await asyncio.sleep(0.01)
+            client.gone.set()
+            with pytest.raises(ClientGoneError):
+                await task
+            (tmp_path / "flag").touch()
+            assert await pool.run(pid) == first
+        finally:
+            pool.close()
+
+    asyncio.run(story())
+
+
+def test_a_queue_that_is_full_of_one_has_a_place_for_another(tmp_path: Path) -> None:
+    async def story() -> None:
+        pool = WorkerPool(1, 3, 300.0)
+        try:
+            await pool.run(pid)
+            with working_for(Client("first")):
+                first = [asyncio.create_task(pool.run(wait_for, tmp_path / "flag")) for _ in range(4)]
+            while pool.waiting < 3:
+                await asyncio.sleep(0)
+            with working_for(Client("second")):
+                second = asyncio.create_task(pool.run(double, 2))
+            with pytest.raises(BusyError):
+                await first[3]
+            ended: list[asyncio.Task[object]] = []
+            for each in (*first[:3], second):
+                each.add_done_callback(ended.append)
+            (tmp_path / "flag").touch()
+            assert await second == 4
+            await asyncio.gather(*first[:3])
+            assert ended == [first[0], second, first[1], first[2]]
         finally:
             pool.close()
 
