@@ -157,8 +157,7 @@ def _lengths(found: Mapping[str, float]) -> str:
 
 def next_step(result: Answer) -> str:
     """Return what to do next, in one line."""
-    apart = [share.measurement for share in result.recordings if share.contradicts]
-    if apart:
+    if apart := [share.measurement for share in result.recordings if share.contradicts]:
         step = f"diagnose {enumerate_words(apart)} apart from the others: the machine was not the same in all"
     elif result.verdict in ("unknown", "changed"):
         step = _after_no_wear(result)
