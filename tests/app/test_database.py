@@ -15,7 +15,8 @@ import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 from answers import diagnosis
-from sqlalchemy import Connection, event, inspect, text
+from older_tables import take_seals
+from sqlalchemy import event, inspect, text
 from uploaded import SHA256, SIZE, uploaded
 
 from jointplay.app.errors import AppError, BadFieldError, UnauthorizedError, UnknownAssetError, UnknownMeasurementError
@@ -131,14 +132,6 @@ def test_assets_of_revision_2_are_due_to_be_judged(store: Store, url: str, tmp_p
         due = Standings(opened.database).take(now())
         assert due is not None and (due.external_id, due.known) == ("press-7", None)
         assert Assets(opened.database).put("press-8", AssetIn.model_validate({"machine": "m"}))[1] is True
-
-
-def take_seals(connection: Connection) -> None:
-    """Make the tables those of revision 3."""
-    for table in ("measurements", "diagnoses", "findings", "assets"):
-        for column in ("checksum", "made_by", *(["baselines_sha256"] if table == "assets" else [])):
-            connection.execute(text(f"ALTER TABLE {table} DROP COLUMN {column}"))
-    connection.execute(text(f"UPDATE {VERSION_TABLE} SET version_num = '3'"))
 
 
 def test_rows_of_revision_3_get_their_checksums(store: Store, url: str, tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ import httpx
 import pytest
 from click.testing import CliRunner
 from http_answers import API, assert_problem, send
+from older_tables import take_seals
 from sqlalchemy import select
 from uploaded import uploaded
 
@@ -116,11 +117,13 @@ def test_tables_of_version_1_in_any_database(store: Store) -> None:
 
     kept = store.add_measurement(uploaded(store), "a.csv", Told(measured_at=AT), {})
     with store.database.engine.begin() as connection:
+        take_seals(connection)
         operations = Operations(MigrationContext.configure(connection))
         for name in ("measured_at", "measured_at_source"):
             operations.drop_column("measurements", name)
         with Operations.context(operations.migration_context):
-            import_module("jointplay.app.migrations.versions.measured_2").upgrade()
+            for revision in ("measured_2", "sealed_4"):
+                import_module(f"jointplay.app.migrations.versions.{revision}").upgrade()
     found = store.measurement(kept.id)
     assert (found.measured_at, found.measured_at_source) == (kept.created_at, "received")
     assert store.add_measurement(uploaded(store), "b.csv", None, {}).measured_at_source == "received"

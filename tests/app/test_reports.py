@@ -50,9 +50,8 @@ def rows(settings: ServiceSettings, diagnosis: DiagnosisOut) -> Iterator[tuple[D
 
 def changed(row: DiagnosisRow, **members: Any) -> DiagnosisRow:
     """The same diagnosis with another answer."""
-    return DiagnosisRow(
-        id=row.id, machine=row.machine, created_at=row.created_at, result={**row.result, **members}, request=row.request
-    )
+    same = ("id", "machine", "created_at", "request", "catalogue", "checksum")
+    return DiagnosisRow(**{name: getattr(row, name) for name in same}, result={**row.result, **members})
 
 
 def text_of(document: bytes) -> str:
