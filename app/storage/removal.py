@@ -12,7 +12,7 @@ import time
 from collections.abc import Collection, Iterable
 from pathlib import Path
 
-from sqlalchemy import delete, or_, select, update
+from sqlalchemy import delete, or_, select
 from sqlalchemy.orm import Session
 
 from jointplay.app.actor import actor
@@ -284,8 +284,8 @@ def empty_unspoken(session: Session, keys: Iterable[str]) -> None:
     several = DiagnosisRow.request["measurements"]
     for found in session.scalars(select(several).where(several.as_string().is_not(None))):
         spoken.update(found or ())
-    values = {"name": "", "said": {}, "summary": {"channels": [], "warnings": []}}
-    session.execute(update(MeasurementRow).where(MeasurementRow.id.in_(asked - spoken)).values(**values))
+    for row in session.scalars(select(MeasurementRow).where(MeasurementRow.id.in_(asked - spoken))):
+        row.name, row.said, row.summary = "", {}, {"channels": [], "warnings": []}
 
 
 def tidy_folders(catalogues: Path) -> int:
