@@ -35,10 +35,10 @@ from jointplay.app.storage import webhooks
 from jointplay.app.storage.assets import AssetRow, Assets, measurements_of, touch_owners
 from jointplay.app.storage.build_queue import BuildQueue
 from jointplay.app.storage.machine_store import MachineStore
-from jointplay.app.storage.recording_folder import SIGNALS
 from jointplay.app.storage.remembered import Remembered
 from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
 from jointplay.app.storage.store import NewDiagnosis, Store, Upload, measurement_key
+from jointplay.app.storage.stored_files import SIGNALS
 from jointplay.app.storage.told import Told
 from jointplay.catalogue.diagnosing.answer import Diagnosis
 from jointplay.catalogue.diagnosing.question import MOST_TOGETHER

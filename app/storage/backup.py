@@ -24,8 +24,8 @@ from jointplay.app.errors import BackupError
 from jointplay.app.storage import assets, build_queue, idempotency, keys, remembered, retention, webhooks
 from jointplay.app.storage.copying import HASHES, Copier, Damage, copy_rows, digest_of, read_hashes
 from jointplay.app.storage.database import REVISION, ServiceDatabase, database_url
-from jointplay.app.storage.recording_folder import recording_path
 from jointplay.app.storage.rows import Base, MeasurementRow, now
+from jointplay.app.storage.stored_files import recording_path
 from jointplay.app.storage.tombstones import deleted
 from jointplay.catalogue.storage.directory import CatalogueDirectory, publish
 

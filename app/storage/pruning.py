@@ -10,11 +10,11 @@ from pathlib import Path
 from sqlalchemy import ColumnElement, delete, func, select
 
 from jointplay.app.storage.assets import AssetBaselineRow, AssetRow
-from jointplay.app.storage.recording_folder import ABANDONED_S, SIGNALS
 from jointplay.app.storage.removal import GOING, Removal, tidy_folders
 from jointplay.app.storage.retention import RetentionRow, class_in, recordings
 from jointplay.app.storage.rows import MeasurementRow, now
 from jointplay.app.storage.store import Store
+from jointplay.app.storage.stored_files import ABANDONED_S, SIGNALS
 from jointplay.app.storage.tombstones import deleted
 from jointplay.app.storage.webhooks import DeliveryRow
 

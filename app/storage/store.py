@@ -22,7 +22,6 @@ from jointplay.app.errors import AppError, BusyError, UnknownDiagnosisError, Unk
 from jointplay.app.storage import audit
 from jointplay.app.storage.assets import touch_owners
 from jointplay.app.storage.database import ServiceDatabase, database_url
-from jointplay.app.storage.recording_folder import PARTIAL, RECORDINGS, RecordingFiles, recording_path
 from jointplay.app.storage.retention import Quotas, RetentionRow
 from jointplay.app.storage.rows import (
     Base,
@@ -36,6 +35,7 @@ from jointplay.app.storage.rows import (
     one_of,
     rows_of,
 )
+from jointplay.app.storage.stored_files import PARTIAL, RECORDINGS, StoredFiles, recording_path
 from jointplay.app.storage.told import Told
 from jointplay.app.storage.tombstones import TombstoneRow, deleted, dig_up, missing, refuse_deleted
 from jointplay.catalogue.diagnosing.answer import Diagnosis
@@ -113,7 +113,7 @@ class Store:
     ----------
     database : ServiceDatabase
         Other modules keep their tables in it, too.
-    files : RecordingFiles
+    files : StoredFiles
         What lies in the folder, and may be deleted.
 
     Raises
@@ -129,7 +129,7 @@ class Store:
         self._files.mkdir(parents=True, exist_ok=True)
         file = URL.create("sqlite", database=str(directory / "service.sqlite"))
         self.database = ServiceDatabase(database_url(url) if url else file, Base.metadata)
-        self.files = RecordingFiles(directory, self.database)
+        self.files = StoredFiles(directory, self.database)
         audit.attend(self.database)
         self._session = self.database.session
 

@@ -17,6 +17,7 @@ from typing import Any
 import databases
 import httpx
 import pytest
+from answers import diagnosis
 from command_line import assert_refused, invoke
 from small_service import serving
 from sqlalchemy import text
@@ -29,8 +30,8 @@ from jointplay.app.storage.backup import Place, back_up, check, restore
 from jointplay.app.storage.copying import digest_of
 from jointplay.app.storage.machine_store import MachineStore
 from jointplay.app.storage.removal import Removal
-from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
-from jointplay.app.storage.store import Store
+from jointplay.app.storage.rows import MeasurementRow
+from jointplay.app.storage.store import NewDiagnosis, Store
 from jointplay.solver.machines.machine import shipped_machine
 
 API = "/api/v1"
@@ -242,8 +243,7 @@ def test_a_backup_goes_on_past_damage_and_says_so(kept: Kept, how: str) -> None:
 
 def test_rows_that_cannot_be_read_are_left_out(kept: Kept) -> None:
     with closing(Store(kept.place.data)) as store:
-        with store.database.writing() as session:
-            session.add(diagnosed(kept.rows[1]))
+        store.add_diagnosis(NewDiagnosis(kept.rows[1].id, "c", {}, {}, diagnosis()))
         with store.database.engine.begin() as connection:
             spoil = text("UPDATE measurements SET summary = '{' || :half WHERE id = :id")
             connection.execute(spoil, {"half": chr(34), "id": kept.rows[1].id})
@@ -293,8 +293,3 @@ def test_what_was_deleted_is_in_no_backup_and_stays_deleted(kept: Kept) -> None:
     assert said["damaged"] == []
     with closing(Store(place.data)) as store, pytest.raises(DeletedError, match="left"):
         store.measurement(kept.rows[0].id)
-
-
-def diagnosed(row: MeasurementRow) -> DiagnosisRow:
-    members: dict[str, Any] = {"machine": {}, "request": {"measurements": None}, "result": {}}
-    return DiagnosisRow(id="d" * 32, measurement=row.id, catalogue="c", created_at=row.created_at, **members)

@@ -17,7 +17,6 @@ from command_line import invoke
 from example_calls import MEDIA_TYPE
 from prometheus_client.parser import text_string_to_metric_families
 from small_service import asking
-from sqlalchemy import update
 
 from jointplay.app.routes.machines import MACHINE_FILE
 from jointplay.app.scopes import Scope, scope_of
@@ -197,8 +196,7 @@ def test_the_command_says_and_does_what_the_service_does(tmp_path: Path, monkeyp
             for k in range(2)
         ]
         with store.database.writing() as session:
-            old = update(MeasurementRow).where(MeasurementRow.id == kept[0].id)
-            session.execute(old.values(created_at=now() - timedelta(days=91)))
+            session.get_one(MeasurementRow, kept[0].number).created_at = now() - timedelta(days=91)
     places = ["--data", tmp_path / "data", "--catalogues", tmp_path / "none"]
     result = invoke("prune", "--dry-run", *places)
     assert result.exit_code == 0, result.stderr

@@ -30,7 +30,7 @@ FILES_LOCK = 7_264_917_003_120
 """Key of PostgreSQL's advisory lock that whoever deletes files holds alone, and whoever names them holds in common."""
 
 
-class RecordingFiles:
+class StoredFiles:
     """The files below a folder of data.
 
     Parameters
