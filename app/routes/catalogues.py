@@ -11,7 +11,7 @@ from jointplay.app.etags import respond
 from jointplay.app.http import paging
 from jointplay.app.http.openapi import DRAWING, problems
 from jointplay.app.routes.machines import Cursor, Limit
-from jointplay.app.schemas.resources import CatalogueDetail, CatalogueItem, CataloguePage
+from jointplay.app.schemas.resources import CatalogueDetail, CatalogueItem, CataloguePage, DamagedItem
 from jointplay.app.service import of_request
 from jointplay.app.shelves.catalogues import Offer
 from jointplay.solver.machines.drawing import machine_svg
@@ -28,10 +28,12 @@ def catalogues(request: Request, cursor: Cursor = None, limit: Limit = None) -> 
     found = [offer.description for offer in service.shelf.offers() if offer.description.name > after]
     more = len(found) > size
     items = [CatalogueItem.model_validate(brief(each)) for each in found[:size]]
-    return CataloguePage(items=items, next_cursor=paging.encode(found[size - 1].name) if more else None)
+    damaged = [DamagedItem(name=each.name, reason=each.reason) for each in service.shelf.damages()]
+    following = paging.encode(found[size - 1].name) if more else None
+    return CataloguePage(items=items, next_cursor=following, damaged=damaged)
 
 
-@router.get("/{name}", response_model=CatalogueDetail, responses=problems(404))
+@router.get("/{name}", response_model=CatalogueDetail, responses=problems(404, 500))
 def catalogue(request: Request, name: str) -> Response:
     """Return one catalogue with its plan and the statuses of its cases."""
     offer = of_request(request).shelf.find(name)
@@ -39,7 +41,7 @@ def catalogue(request: Request, name: str) -> Response:
     return respond(request, document, hashlib.sha256(document.body).hexdigest())
 
 
-@router.get("/{name}/drawing.svg", responses={**DRAWING, **problems(404)}, response_class=Response)
+@router.get("/{name}/drawing.svg", responses={**DRAWING, **problems(404, 500)}, response_class=Response)
 def drawing(request: Request, name: str) -> Response:
     """Return the drawing of the catalogue's machine in its drawn pose."""
     offer: Offer = of_request(request).shelf.find(name)

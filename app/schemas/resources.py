@@ -136,10 +136,18 @@ class CatalogueDetail(CatalogueItem):
     )
 
 
+class DamagedItem(Shape):
+    """A catalogue that cannot be used."""
+
+    name: str = Field(description="Name of its folder.")
+    reason: str
+
+
 class CataloguePage(Page):
     """A page of catalogues."""
 
     items: list[CatalogueItem]
+    damaged: list[DamagedItem] = Field(description="All that cannot be used: on every page.")
 
 
 class ChannelItem(Shape):

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import sqlite3
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -144,6 +145,8 @@ class Database:
         Options of connections to PostgreSQL.
     pool_wait : float
         Longest wait for one of its connections [s].
+    loads : callable
+        Reads the JSON of columns.
 
     Attributes
     ----------
@@ -157,13 +160,20 @@ class Database:
     """
 
     def __init__(
-        self, url: URL, *, wait: float, durable: bool, connect: Mapping[str, Any], pool_wait: float = 30.0
+        self,
+        url: URL,
+        *,
+        wait: float,
+        durable: bool,
+        connect: Mapping[str, Any],
+        pool_wait: float = 30.0,
+        loads: Callable[[Any], Any] = json.loads,
     ) -> None:
         self.is_sqlite = url.get_backend_name() == "sqlite"
         self.name = str(url.database) if self.is_sqlite else url.set(drivername="postgresql").render_as_string()
-        options: dict[str, Any] = {}
+        options: dict[str, Any] = {"json_deserializer": loads}
         if not self.is_sqlite:
-            options = {"pool_pre_ping": True, "pool_timeout": pool_wait, "connect_args": dict(connect)}
+            options |= {"pool_pre_ping": True, "pool_timeout": pool_wait, "connect_args": dict(connect)}
         try:
             # Errors are logged, values of a statement are not: some are secrets.
             self.engine = create_engine(url, hide_parameters=True, **options)
