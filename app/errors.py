@@ -165,6 +165,10 @@ class DatabaseGoneError(AppError):
     """The service's database does not answer."""
 
 
+class DamagedDatabaseError(AppError):
+    """The service's database, or a row of it, cannot be read."""
+
+
 class StorageFullError(AppError):
     """A disk of the service, or of its database, is full."""
 

@@ -16,7 +16,7 @@ from http import HTTPStatus
 from typing import Any
 
 from jointplay.app import errors
-from jointplay.app.errors import AppError, DatabaseGoneError, StorageFullError
+from jointplay.app.errors import AppError, DamagedDatabaseError, DatabaseGoneError, StorageFullError
 from jointplay.app.fields import say_cure
 from jointplay.catalogue import errors as catalogue_errors
 from jointplay.solver import errors as solver_errors
@@ -118,6 +118,7 @@ TABLE: dict[type[Exception], ProblemKind] = {
     errors.UnsupportedMediaError: ProblemKind(415, "unsupported-media", "This type of body is not taken here"),
     errors.BusyError: ProblemKind(503, "busy", "All workers are busy"),
     errors.DatabaseGoneError: ProblemKind(503, "database-gone", "The database does not answer"),
+    errors.DamagedDatabaseError: ProblemKind(500, "damaged-database", "The database is damaged"),
     errors.StorageFullError: ProblemKind(507, "storage-full", "There is no space left"),
     errors.TimeLimitError: ProblemKind(504, "time-limit", "The computation took too long"),
     errors.WorkerDiedError: ProblemKind(500, "worker-died", "A worker process ended early"),
@@ -251,6 +252,8 @@ def foreseen(error: BaseException) -> AppError | None:
     chain = list(causes(error))
     if any(is_full(each) for each in chain):
         return StorageFullError("there is no space left on a disk of the service; nothing of this was stored")
+    if any(is_damaged(each) for each in chain):
+        return DamagedDatabaseError("the database of the service is damaged; bring a backup of it back")
     if any(is_gone(each) for each in chain):
         return DatabaseGoneError("the database of the service does not answer; try again in a few seconds")
     return None
@@ -273,6 +276,12 @@ def is_full(error: BaseException) -> bool:
     if isinstance(error, sqlite3.Error):
         return getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_FULL
     return getattr(error, "sqlstate", None) == POSTGRES_FULL
+
+
+def is_damaged(error: BaseException) -> bool:
+    """Return whether a file of SQLite says of itself that it is none, or not whole."""
+    code = getattr(error, "sqlite_errorcode", 0) if isinstance(error, sqlite3.Error) else 0
+    return code & 0xFF in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
 
 
 def is_gone(error: BaseException) -> bool:

@@ -21,7 +21,7 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Match, Mount
 from starlette.types import Scope
 
-from jointplay.app.errors import AppError, BadRequestError
+from jointplay.app.errors import AppError, BadFieldError, BadRequestError
 from jointplay.app.jobs.workers import TaskFailedError
 from jointplay.app.problems import MEDIA_TYPE, PLAIN_TYPE, Problem, of_status, of_validation, problem_of
 from jointplay.app.rows import show_unit
@@ -128,12 +128,19 @@ def problem_from(error: Exception) -> Problem:
 async def handle(request: Request, error: Exception) -> Response:
     """Answer an exception; those that nobody foresaw are logged whole."""
     problem = problem_from(error)
+    if problem.status == HTTPStatus.NOT_FOUND and problem.type == PLAIN_TYPE and has_slash(request.scope):
+        problem = problem_of(BadFieldError("the address holds %2F: no id or name has a / in it", field="path"))
     if problem.status == HTTPStatus.METHOD_NOT_ALLOWED:
         problem = replace(problem, headers={**problem.headers, "Allow": ", ".join(find_methods(request))})
     if problem.status >= 500:
         known = isinstance(error, AppError) and problem.status != 500
         log.error("%s", problem.detail, exc_info=None if known else error)
     return answer(request, problem)
+
+
+def has_slash(scope: Scope) -> bool:
+    """Return whether a part of an address was sent with a slash in it, which is none between parts."""
+    return b"%2f" in scope.get("raw_path", b"").lower()
 
 
 def find_methods(request: Request) -> list[str]:

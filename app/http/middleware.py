@@ -210,6 +210,7 @@ class State(Collector):
         yield gauge("workers_busy", "Workers that have a task.", service.pool.busy)
         offers = service.shelf.offers()
         yield gauge("catalogues", "Catalogues that are offered.", len(offers))
+        yield gauge("catalogues_damaged", "Catalogues that cannot be used.", len(service.shelf.damages()))
         entries = GaugeMetricFamily(
             "jointplay_catalogue_entries", "Simulated cases in a catalogue that is offered.", labels=["catalogue"]
         )

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
-from pydantic import TypeAdapter
+from pydantic import BeforeValidator, TypeAdapter
 from starlette.concurrency import run_in_threadpool
 
 from jointplay.app.errors import BadFieldError, DeletedError, UnknownMeasurementError
@@ -19,7 +19,16 @@ from jointplay.app.http.openapi import problems
 from jointplay.app.http.uploads import JSON_TYPE, json_body
 from jointplay.app.routes.findings import damaged_out
 from jointplay.app.routes.machines import Cursor, Limit
-from jointplay.app.schemas.assets import EXTERNAL_ID, TEXT, Acknowledgement, AssetIn, AssetOut, AssetPage, TrendRow
+from jointplay.app.schemas.assets import (
+    EXTERNAL_ID,
+    TEXT,
+    Acknowledgement,
+    AssetIn,
+    AssetOut,
+    AssetPage,
+    TrendRow,
+    check_external_id,
+)
 from jointplay.app.service import Service, of_request
 from jointplay.app.storage.assets import AssetRow, Assets
 from jointplay.app.storage.idempotency import IdempotencyKey
@@ -31,7 +40,11 @@ from jointplay.solver.machines.joints import LARGEST_LIMIT
 
 router = APIRouter(prefix="/assets", tags=["assets"])
 
-ExternalId = Annotated[str, Path(pattern=EXTERNAL_ID, description="The asset's name in your own records.")]
+ExternalId = Annotated[
+    str,
+    Path(pattern=EXTERNAL_ID, description="The asset's name in your own records."),
+    BeforeValidator(check_external_id),
+]
 Order = Annotated[
     Literal["newest", "urgent"],
     Query(

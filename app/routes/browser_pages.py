@@ -36,8 +36,10 @@ CHOICES = {"quantity": get_args(Quantity), "scaling": get_args(Scaling)}
 @router.get("")
 async def catalogues(request: Request) -> Response:
     """List the catalogues."""
-    drawn = await run_in_threadpool(drawings, of_request(request))
-    members = await context(request, title="Catalogues: jointplay", drawings=drawn)
+    service = of_request(request)
+    drawn = await run_in_threadpool(drawings, service)
+    damaged = await run_in_threadpool(service.shelf.damages)
+    members = await context(request, title="Catalogues: jointplay", drawings=drawn, damaged=damaged)
     return templates.TemplateResponse(request, "catalogues.html", members)
 
 

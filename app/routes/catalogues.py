@@ -12,7 +12,7 @@ from jointplay.app.http import paging
 from jointplay.app.http.deleting import DELETED, Why, delete
 from jointplay.app.http.openapi import DRAWING, problems
 from jointplay.app.routes.machines import Cursor, Limit
-from jointplay.app.schemas.resources import CatalogueDetail, CatalogueItem, CataloguePage
+from jointplay.app.schemas.resources import CatalogueDetail, CatalogueItem, CataloguePage, DamagedItem
 from jointplay.app.service import of_request
 from jointplay.app.shelves.catalogues import Offer
 from jointplay.app.storage.idempotency import IdempotencyKey
@@ -31,10 +31,12 @@ def catalogues(request: Request, cursor: Cursor = None, limit: Limit = None) -> 
     found = [offer.description for offer in service.shelf.offers() if offer.description.name > after]
     more = len(found) > size
     items = [CatalogueItem.model_validate(brief(each)) for each in found[:size]]
-    return CataloguePage(items=items, next_cursor=paging.encode(found[size - 1].name) if more else None)
+    damaged = [DamagedItem(id=each.name, problem=each.reason) for each in service.shelf.damages()]
+    following = paging.encode(found[size - 1].name) if more else None
+    return CataloguePage(items=items, next_cursor=following, damaged=damaged)
 
 
-@router.get("/{name}", response_model=CatalogueDetail, responses=problems(404, 410))
+@router.get("/{name}", response_model=CatalogueDetail, responses=problems(404, 410, 500))
 def catalogue(request: Request, name: str) -> Response:
     """Return one catalogue with its plan and the statuses of its cases."""
     offer = of_request(request).shelf.find(name)
@@ -58,7 +60,7 @@ async def remove(request: Request, name: str, why: Why = "", idempotency_key: Id
     return await delete(request, idempotency_key, act, why)
 
 
-@router.get("/{name}/drawing.svg", responses={**DRAWING, **problems(404)}, response_class=Response)
+@router.get("/{name}/drawing.svg", responses={**DRAWING, **problems(404, 500)}, response_class=Response)
 def drawing(request: Request, name: str) -> Response:
     """Return the drawing of the catalogue's machine in its drawn pose."""
     offer: Offer = of_request(request).shelf.find(name)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from datetime import datetime
 from typing import Annotated
 
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
 from jointplay.app.schemas.resources import MADE_BY, Shape, StoredPage
 from jointplay.app.words import MeasuredAt
@@ -16,7 +17,20 @@ from jointplay.catalogue.following.standing import Reason, StandingName
 EXTERNAL_ID = r"^[A-Za-z0-9][A-Za-z0-9._:-]{0,127}$"
 TEXT = r"^[^\x00-\x08\x0b\x0c\x0e-\x1f]*$"  # a database takes no NUL, and nobody wants the others
 
-AssetId = Annotated[str, Field(pattern=EXTERNAL_ID, description="Its name in your own records.")]
+
+def check_external_id(given: object) -> object:
+    """Return the id of an asset; one that breaks the rule is refused in words, not by its pattern."""
+    if isinstance(given, str) and not re.fullmatch(EXTERNAL_ID, given):
+        raise ValueError(
+            f'"{given[:80]}": must be 1 to 128 letters, digits, . _ : and -, without / or blanks, the first a letter'
+            " or digit"
+        )
+    return given
+
+
+AssetId = Annotated[
+    str, Field(pattern=EXTERNAL_ID, description="Its name in your own records."), BeforeValidator(check_external_id)
+]
 
 
 class AssetName(Shape):

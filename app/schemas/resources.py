@@ -117,6 +117,7 @@ class CataloguePage(Page):
     """A page of catalogues."""
 
     items: list[CatalogueItem]
+    damaged: list[DamagedItem] = Field(description="All that cannot be used, by their names; on every page.")
 
 
 class ChannelItem(Shape):

@@ -5,14 +5,14 @@ from __future__ import annotations
 import json
 import logging
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from math import pi
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jointplay.app.errors import AppError, UnknownCatalogueError
+from jointplay.app.errors import AppError, DamagedCatalogueError, UnknownCatalogueError
 from jointplay.app.schemas.resources import CatalogueDetail, SensorItem
 from jointplay.catalogue.errors import CatalogueError
 from jointplay.catalogue.storage.directory import CatalogueDirectory
@@ -52,6 +52,22 @@ class Offer:
         return document
 
 
+@dataclass(frozen=True)
+class Damage:
+    """A catalogue that cannot be used.
+
+    Parameters
+    ----------
+    name : str
+        Of its folder.
+    reason : str
+        In one line.
+    """
+
+    name: str
+    reason: str
+
+
 class CatalogueShelf:
     """Finds catalogues and remembers their descriptions until they change.
 
@@ -67,17 +83,33 @@ class CatalogueShelf:
         self._directory = directory
         self._missing = missing
         self._offers: dict[Path, Offer] = {}
+        self._damages: dict[Path, Damage] = {}
         self._lock = threading.Lock()
 
     def offers(self) -> list[Offer]:
-        """Return all catalogues, by name; one that cannot be opened is logged and left out."""
-        found = []
+        """Return all catalogues that can be used, by name."""
+        return [each for each in self._found() if isinstance(each, Offer)]
+
+    def damages(self) -> list[Damage]:
+        """Return all catalogues that cannot be used, by name, with the reason."""
+        return [each for each in self._found() if isinstance(each, Damage)]
+
+    def _found(self) -> Iterator[Offer | Damage]:
         for path in self._paths():
             try:
-                found.append(self._look(path))
+                yield self._look(path)
             except CatalogueError as error:
-                log.warning("catalogue left out: %s", error)
-        return found
+                yield self._note(path, str(error))
+
+    def _note(self, path: Path, reason: str) -> Damage:
+        """Remember a catalogue that cannot be used; it is logged once, not at every look."""
+        damage = Damage(path.name, reason)
+        with self._lock:
+            known = self._damages.get(path)
+            self._damages[path] = damage
+        if known != damage:
+            log.warning("catalogue %s is damaged: %s", path.name, reason)
+        return damage
 
     def find(self, name: str) -> Offer:
         """Return the catalogue of an id or folder name.
@@ -86,13 +118,18 @@ class CatalogueShelf:
         ------
         UnknownCatalogueError
             When there is none.
+        DamagedCatalogueError
+            When there is one of this name that cannot be used.
         """
         known = self.find_unchanged(name)
         if known is not None:
             return known
-        for offer in self.offers():
-            if name in (offer.description.id, offer.description.name):
-                return offer
+        for each in self._found():
+            if isinstance(each, Damage):
+                if name == each.name:
+                    raise DamagedCatalogueError(f"catalogue: {name}: is damaged: {each.reason}", field="catalogue")
+            elif name in (each.description.id, each.description.name):
+                return each
         unknown = UnknownCatalogueError(f"catalogue: {name[:80]}: there is none of this id or name", field="catalogue")
         raise self._missing(name, unknown)
 
@@ -118,6 +155,7 @@ class CatalogueShelf:
             offer = describe(path, stamp)
             with self._lock:
                 self._offers[path] = offer
+                self._damages.pop(path, None)
         return offer
 
 

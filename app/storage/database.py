@@ -15,7 +15,7 @@ from sqlalchemy.engine import URL
 from sqlalchemy.exc import OperationalError
 from sqlalchemy.orm import DeclarativeBase, Session, sessionmaker
 
-from jointplay.app.errors import AppError, BadFieldError, NotReadyError
+from jointplay.app.errors import AppError, BadFieldError, DamagedDatabaseError, NotReadyError
 from jointplay.app.storage.checksums import read_document
 from jointplay.catalogue.errors import CatalogueFileError
 from jointplay.catalogue.storage import database
@@ -79,6 +79,20 @@ def refusal(error: CatalogueFileError) -> BadFieldError:
 Row = TypeVar("Row", bound=DeclarativeBase)
 
 
+def load_json(content: str | bytes) -> Any:
+    """Return the value of a column.
+
+    Raises
+    ------
+    DamagedDatabaseError
+        When it is no JSON.
+    """
+    try:
+        return read_document(content)
+    except ValueError:
+        raise DamagedDatabaseError("a row of the database is damaged: a column of it is no JSON") from None
+
+
 def is_id(key: str) -> bool:
     """Return whether a text can be an id."""
     return key.isascii() and key.isalnum() and len(key) <= 64
@@ -106,7 +120,7 @@ class ServiceDatabase(Database):
         waits = {"connect_timeout": round(WAIT_S), "tcp_user_timeout": round(WAIT_S * 1000)}
         try:
             # An answer that says "stored" outlives a loss of power.
-            super().__init__(url, wait=WAIT_S, durable=True, connect=waits, pool_wait=POOL_S, read_json=read_document)
+            super().__init__(url, wait=WAIT_S, durable=True, connect=waits, pool_wait=POOL_S, loads=load_json)
         except CatalogueFileError as error:
             raise refusal(error) from None
         self.session = sessionmaker(self.engine, expire_on_commit=False)

@@ -13,7 +13,7 @@ from sqlalchemy.exc import DatabaseError, OperationalError
 from sqlalchemy.orm import DeclarativeBase, Mapped, Session, mapped_column
 
 from jointplay.app.actor import actor
-from jointplay.app.errors import DamagedRowError
+from jointplay.app.errors import DamagedDatabaseError, DamagedRowError
 from jointplay.app.storage.checksums import row_checksum
 from jointplay.app.storage.database import ServiceDatabase, UtcDateTime, is_id
 from jointplay.app.storage.told import Told
@@ -221,7 +221,7 @@ def one_of(database: ServiceDatabase, table: type[Any_Row], key: str) -> Any_Row
     return rows[0] if rows else None
 
 
-UNREADABLE = (DamagedRowError, ValueError, TypeError, DatabaseError)
+UNREADABLE = (DamagedRowError, DamagedDatabaseError, ValueError, TypeError, DatabaseError)
 """What reading a damaged row may raise: its checksum, JSON or a moment that is none, a text that is none."""
 
 

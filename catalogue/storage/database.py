@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sqlite3
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -144,8 +145,8 @@ class Database:
         Options of connections to PostgreSQL.
     pool_wait : float
         Longest wait for one of its connections [s].
-    read_json : callable, optional
-        Makes values of the text of JSON columns.
+    loads : callable
+        Reads the JSON of columns.
 
     Attributes
     ----------
@@ -166,15 +167,13 @@ class Database:
         durable: bool,
         connect: Mapping[str, Any],
         pool_wait: float = 30.0,
-        read_json: Callable[[str | bytes], Any] | None = None,
+        loads: Callable[[Any], Any] = json.loads,
     ) -> None:
         self.is_sqlite = url.get_backend_name() == "sqlite"
         self.name = str(url.database) if self.is_sqlite else url.set(drivername="postgresql").render_as_string()
-        options: dict[str, Any] = {}
+        options: dict[str, Any] = {"json_deserializer": loads}
         if not self.is_sqlite:
-            options = {"pool_pre_ping": True, "pool_timeout": pool_wait, "connect_args": dict(connect)}
-        if read_json is not None:
-            options["json_deserializer"] = read_json
+            options |= {"pool_pre_ping": True, "pool_timeout": pool_wait, "connect_args": dict(connect)}
         try:
             # Errors are logged, values of a statement are not: some are secrets.
             self.engine = create_engine(url, hide_parameters=True, **options)

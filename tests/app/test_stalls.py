@@ -16,8 +16,9 @@ import pytest
 from lines import Line, remote
 from small_service import asking
 from sqlalchemy import text
-from sqlalchemy.exc import OperationalError
+from sqlalchemy.exc import DatabaseError, OperationalError
 
+from jointplay.app.problems import problem_of
 from jointplay.app.schemas.assets import AssetIn
 from jointplay.app.settings import ServiceSettings
 from jointplay.app.storage import stalls
@@ -152,3 +153,19 @@ def test_nothing_is_acknowledged_into_a_file_that_was_taken_away(tmp_path: Path)
             assets.put("b", wanted)
         (tmp_path / "elsewhere").rename(file)
         assert assets.put("b", wanted)[1]
+
+
+def test_damage_of_a_database_is_a_named_problem(tmp_path: Path) -> None:
+    settings = ServiceSettings(catalogues=tmp_path / "none", data=tmp_path / "data", workers=1, builds=0)
+    file = tmp_path / "data/service.sqlite"
+    with asking(settings) as client:
+        assert client.put(f"{API}/assets/a", json=ASSET).status_code == 201
+        with closing(sqlite3.connect(file)) as other, other:
+            other.execute("UPDATE assets SET limits_um = '{'")
+        for place in ("assets", "assets/a"):
+            answer = client.get(f"{API}/{place}")
+            assert (answer.status_code, answer.json()["type"]) == (500, "urn:jointplay:problem:damaged-database")
+            assert answer.json()["detail"] == "a row of the database is damaged: a column of it is no JSON"
+    torn = sqlite3.DatabaseError("malformed")
+    torn.sqlite_errorcode = sqlite3.SQLITE_CORRUPT
+    assert problem_of(DatabaseError("SELECT", None, torn)).type == "urn:jointplay:problem:damaged-database"

@@ -22,6 +22,8 @@ from jointplay.catalogue.processes import ONE_THREAD
 
 #: Waited longer than a file may take before the whole process is given up [s].
 _GRACE = 10.0
+#: What a file and its numbers pass through: with the usual 64 kB the two processes would take turns all the time.
+_PIPE_BYTES = 1 << 20
 
 
 class Cell:
@@ -68,6 +70,7 @@ class Cell:
                 body = process.stdout.read(head["bytes"])
             except (OSError, ValueError):
                 self.close()
+                self._refuse_slow(kind, -process.returncode, source, limits)
                 raise MeasurementError(source, rule=f"{kind.name} file: its reader ended early") from None
             finally:
                 guard.cancel()
@@ -75,9 +78,7 @@ class Cell:
 
     def _judged(self, kind: FileKind, head: dict[str, Any], body: bytes, source: str, limits: Limits) -> RawRecording:
         ended = head["signal"]
-        if ended in (signal.SIGPROF, signal.SIGALRM):
-            seconds = limits.reader_seconds if ended == signal.SIGPROF else limits.reader_clock_seconds
-            raise MeasurementError(source, rule=f"{kind.name} file: takes longer than {seconds:g} s to be read")
+        self._refuse_slow(kind, ended, source, limits)
         if ended:
             name = signal.Signals(ended).name
             raise MeasurementError(source, rule=f"{kind.name} file: is damaged: its reader was ended by {name}")
@@ -91,6 +92,13 @@ class Cell:
             raise MeasurementError(source, *said, field=field)
         return decode(answer, memoryview(body)[end + 1 :], source)
 
+    @staticmethod
+    def _refuse_slow(kind: FileKind, ended: int, source: str, limits: Limits) -> None:
+        """Refuse a file whose reader was ended by one of the signals that are sent after a time."""
+        if ended in (signal.SIGPROF, signal.SIGALRM):
+            seconds = limits.reader_seconds if ended == signal.SIGPROF else limits.reader_clock_seconds
+            raise MeasurementError(source, rule=f"{kind.name} file: takes longer than {seconds:g} s to be read")
+
     def _running(self) -> subprocess.Popen[bytes]:
         # A process that was forked off has its parent's pipes, which it must not share.
         if self._process is None or self._owner != os.getpid() or self._process.poll() is not None:
@@ -101,6 +109,7 @@ class Cell:
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 env={**os.environ, **ONE_THREAD, "PYTHONPATH": path},
+                pipesize=_PIPE_BYTES,
                 start_new_session=True,
             )
             self._owner = os.getpid()

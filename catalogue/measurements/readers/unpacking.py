@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import gzip
 import io
 import zlib
@@ -28,7 +29,17 @@ def beginning_of(data: bytes, title: str) -> bytes:
         No gzip file, though it is called one, or a damaged one.
     """
     _check_name(data, title)
-    return next(_parts(data, title, BEGINNING), b"")
+    return next(_parts(data, title, BEGINNING, data.startswith(PACKED)), b"")
+
+
+def small_content(data: bytes) -> bytes | None:
+    """Content of a file of at most `UNASKED_BYTES`; None of a larger or a damaged one."""
+    if not data.startswith(PACKED):
+        return data if len(data) <= UNASKED_BYTES else None
+    with contextlib.suppress(OSError, EOFError, zlib.error), gzip.GzipFile(fileobj=io.BytesIO(data)) as packed:
+        content = packed.read(UNASKED_BYTES + 1)
+        return content if len(content) <= UNASKED_BYTES else None
+    return None
 
 
 def unpack(data: bytes, title: str, limits: Limits, *, text: bool) -> bytes:
@@ -49,9 +60,13 @@ def unpack(data: bytes, title: str, limits: Limits, *, text: bool) -> bytes:
         As of :func:`beginning_of`; larger than is read; a line without end; too much from too little.
     """
     _check_name(data, title)
-    packed = data.startswith(PACKED)
+    return check_content(data, title, limits, text=text, packed=data.startswith(PACKED))
+
+
+def check_content(data: bytes, title: str, limits: Limits, *, text: bool, packed: bool = False) -> bytes:
+    """As :func:`unpack`, of what is unpacked already, or said to be packed."""
     whole, line, size = io.BytesIO(), 0, 0
-    for part in _parts(data, title, LINE_BYTES):
+    for part in _parts(data, title, LINE_BYTES, packed):
         size += len(part)
         if size > limits.decoded_bytes:
             rule = f"holds more than {limits.decoded_bytes / 1e6:g} MB, the most that is read"
@@ -74,14 +89,14 @@ def _check_name(data: bytes, title: str) -> None:
         raise MeasurementError(title, rule="is not a gzip file")
 
 
-def _parts(data: bytes, title: str, size: int) -> Iterator[bytes]:
-    if not data.startswith(PACKED):
+def _parts(data: bytes, title: str, size: int, packed: bool) -> Iterator[bytes]:
+    if not packed:
         for at in range(0, len(data), size):
             yield data[at : at + size]
         return
     try:
-        with gzip.GzipFile(fileobj=io.BytesIO(data)) as packed:
-            while part := packed.read(size):
+        with gzip.GzipFile(fileobj=io.BytesIO(data)) as file:
+            while part := file.read(size):
                 yield part
     except (OSError, EOFError, zlib.error) as error:
         raise MeasurementError(title, rule=f"is a damaged gzip file: {error}") from None
