@@ -207,6 +207,26 @@ def test_numbers_only_some_entries_vary_have_the_value_of_the_file(tmp_path: Pat
     assert set(np.round(speeds, 12)) == {1.0, 1.5}
 
 
+def test_loads_extend_a_catalogue_by_the_same_machines(tmp_path: Path) -> None:
+    """A recording is compared with all entries at its speed, under whatever load; machines stay together."""
+    plain = parse_plan({**PLAN.content, "uncertain": {}})
+    loaded = parse_plan({**plain.content, "loads": [{"force": 0}, {"force": "-300 N"}]})
+    build(MACHINE, plain, tmp_path, workers=0, compute=compute)
+    before = Catalogue.open(tmp_path).matrix.rows("O")
+    assert build(MACHINE, loaded, tmp_path, workers=0, compute=compute).present == len(entries_of(plain, MACHINE))
+    matrix = Catalogue.open(tmp_path).matrix
+    rows = matrix.rows("O", speed=MACHINE.drive.speed)  # type: ignore[union-attr, arg-type]
+    table = matrix.table(rows)
+    force = table.parameters["loads.0.force.0"]
+    pressed = (force >= -360.0) & (force <= -240.0)
+    assert np.sum(force == 0.0) == len(before)
+    assert np.sum(pressed) == len(rows) - len(before) > 0
+    # Some cases fail; draws that have both are one machine each.
+    number = matrix.individuals(rows)
+    assert set(number[pressed]) & set(number[~pressed])
+    assert len({*zip(number.tolist(), table.draw.tolist(), strict=True)}) == len(set(number)) == len(set(table.draw))
+
+
 # The files.
 
 
