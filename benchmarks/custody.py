@@ -101,8 +101,8 @@ def writing(stores: list[Store], name: str) -> None:
         with patch.object(audit, "note", lambda *_, **__: None), patch("jointplay.app.storage.store.audit.note"):
             plain = run()
         print(
-            f"{name}, {len(stores)} servers, {CLIENTS} clients: {plain[0]:.0f}/s, {plain[1]:.1f} ms of processor each"
-            f" without, {logged[0]:.0f}/s and {logged[1]:.1f} ms with the audit log"
+            f"{name}, {len(stores)} servers, {CLIENTS} clients: {plain[0]:.0f}/s and {plain[1]:.1f} ms of processor"
+            f" each without, {logged[0]:.0f}/s and {logged[1]:.1f} ms with the audit log"
         )
     print(f"chain: {list(audit.AuditLog(stores[0].database).damage()) or 'whole'}")
 
