@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from jointplay.solver.simulation.account import Account
 
 
-MOST = {"links": 64, "joints": 128}
+MOST = {"links": 64, "joints": 128, "sensors": 100}
 """Of what a machine may have how much: its check and its account then take some 15 s of a processor."""
 
 

@@ -25,8 +25,8 @@ from jointplay.catalogue.processes import OneProcess, become_worker
 
 log = logging.getLogger(__name__)
 
-PATIENCE_S = 5.0
-"""Longest time that a task goes on without its client [s]: about what a new process takes of a processor."""
+PATIENCE_S, MOST_PATIENCE_S = 5.0, 30.0
+"""Time that a task goes on without its client [s]: as long as the last new process took, within these bounds."""
 
 
 class TaskFailedError(Exception):
@@ -132,6 +132,7 @@ class WorkerPool:
         self._count, self._missing = workers, 0
         self._spare = OneProcess(prepare, log_settings)
         self._ready: list[OneProcess] = []
+        self._price = 0.0
         self._first: tuple[Callable[..., Any], tuple[Any, ...]] | None = None
         self._behind: set[asyncio.Task[None]] = set()
 
@@ -158,7 +159,7 @@ class WorkerPool:
         WorkerDiedError
             When the process ended early.
         ClientGoneError
-            When whoever asked has gone; the task is given `PATIENCE_S`, and then its process is ended.
+            When whoever asked has gone; the task has a little time to be done, and then its process is ended.
         """
         client, asked = client_here(), time.perf_counter()
         place = self._turns.join(client.name)
@@ -173,7 +174,8 @@ class WorkerPool:
             working = asyncio.create_task(self._work(place.result(), client.name, asked, times, task, args))
             await first_of(working, leaving)
             if not working.done():
-                self._keep(asyncio.create_task(let_end(working)))
+                patience = min(max(PATIENCE_S, self._price), MOST_PATIENCE_S)
+                self._keep(asyncio.create_task(let_end(working, patience)))
                 raise gone(leaving)
             return working.result().result()
         except asyncio.CancelledError:
@@ -251,10 +253,11 @@ class WorkerPool:
     async def _refill(self, worker: OneProcess) -> None:
         """Let a process load what tasks need, and then have tasks where one is missing."""
         assert self._first is not None
-        task, args = self._first
+        (task, args), began = self._first, time.perf_counter()
         try:
             async with asyncio.timeout(self._time_limit):
                 await run_in(worker, task, args)
+            self._price = time.perf_counter() - began
         except (TimeoutError, BrokenProcessPool, OSError) as error:
             log.warning("a new worker could not be made ready: %s", error or type(error).__name__)
             end(worker)
@@ -348,10 +351,10 @@ def gone(leaving: asyncio.Future[None]) -> Exception:
     return leaving.exception() or ClientGoneError("the client has gone")  # type: ignore[return-value]
 
 
-async def let_end(working: asyncio.Task[WorkerOutcome]) -> None:
-    """Give a task that nobody waits for the time that a new process would take, and then stop it."""
+async def let_end(working: asyncio.Task[WorkerOutcome], patience: float) -> None:
+    """Give a task that nobody waits for the time that a new process would take [s], and then stop it."""
     try:
-        await asyncio.wait([working], timeout=PATIENCE_S)
+        await asyncio.wait([working], timeout=patience)
     finally:
         working.cancel()
         await asyncio.gather(working, return_exceptions=True)
