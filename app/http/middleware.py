@@ -172,7 +172,7 @@ class BodyLimit:
             while (await counted())["type"] != "http.disconnect":
                 pass
 
-        name = getattr(request.state, "key", None) or address(request)
+        name = getattr(request.state, "key", None) or getattr(request.state, "person", None) or address(request)
         with working_for(Client(name, leave)):
             await self._app(scope, counted, send)
 
