@@ -10,6 +10,7 @@ from itertools import accumulate, combinations
 import numpy as np
 
 from jointplay.catalogue.errors import PlanError
+from jointplay.catalogue.plans.day_load import DAY_LOAD
 from jointplay.catalogue.plans.driving import speed_path
 from jointplay.catalogue.plans.entry import Entry, Hypothesis, Recipe, Stratum, seed_from
 from jointplay.catalogue.plans.parameters import (
@@ -23,7 +24,7 @@ from jointplay.catalogue.plans.parameters import (
     ripple_order,
 )
 from jointplay.catalogue.plans.plan import Plan
-from jointplay.catalogue.plans.plan_parts import DAY_LOAD, Distribution, log_uniform, unit_draws
+from jointplay.catalogue.plans.plan_parts import Distribution, log_uniform, unit_draws
 from jointplay.catalogue.plans.variants import LawChoice, Variant, output_load
 from jointplay.solver.arrays import FloatArray
 from jointplay.solver.machines.joints import SlidingJoint

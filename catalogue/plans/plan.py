@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, ValidationError, model_validator
 
 from jointplay.catalogue.errors import PlanError
+from jointplay.catalogue.plans.day_load import DayLoad
 from jointplay.catalogue.plans.driving import nominal_drive_speed
 from jointplay.catalogue.plans.entry import Recipe, Stratum, content_digest
 from jointplay.catalogue.plans.parameters import check_ground
@@ -18,7 +19,6 @@ from jointplay.catalogue.plans.plan_parts import (
     Auto,
     Bands,
     ClearanceRange,
-    DayLoad,
     Distribution,
     DrawCounts,
     Fits,

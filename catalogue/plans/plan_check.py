@@ -6,8 +6,9 @@ import math
 
 from jointplay.catalogue.errors import PlanError
 from jointplay.catalogue.plans.cases import entries_of, sequences_of
+from jointplay.catalogue.plans.day_load import DAY_LOAD
 from jointplay.catalogue.plans.plan import Plan
-from jointplay.catalogue.plans.plan_parts import DAY_LOAD, SPEED, DrawCounts
+from jointplay.catalogue.plans.plan_parts import SPEED, DrawCounts
 from jointplay.solver.cases.answers import check_band
 from jointplay.solver.cases.causes import check_record
 from jointplay.solver.errors import SettingsError, SolverError

@@ -20,7 +20,7 @@ from jointplay.solver.machines.fields import QuantityField, RuleError, VectorFie
 from jointplay.solver.machines.joints import WearingJoint
 from jointplay.solver.machines.machine import Machine, has_known_effort
 from jointplay.solver.machines.parts import Damper, ForceDrive, Mount, Part, Spring, TorqueDrive
-from jointplay.solver.machines.units import FORCE, FREQUENCY, LENGTH, RATIO, TORQUE
+from jointplay.solver.machines.units import FREQUENCY, LENGTH, RATIO
 
 #: Width of the cells of a scrambled Sobol sequence of 30 bits; keeps draws off 0, where a normal quantile is infinite.
 _CELL = 2.0**-30
@@ -230,36 +230,6 @@ class Wide(Part):
         return math.ceil(self.draws * draws - 1e-9)
 
 
-class DayLoad(Part):
-    """A constant load of the process on the output link, of one day: what is given of both is drawn within a fifth.
-
-    Parameters
-    ----------
-    force : float, optional
-        Along the slide of the output on the frame, in the direction that the machine file gives that joint [N].
-    torque : float, optional
-        On an output that turns on the frame, counterclockwise [N m].
-    """
-
-    force: Annotated[float, QuantityField(FORCE)] | None = None
-    torque: Annotated[float, QuantityField(TORQUE)] | None = None
-
-    @model_validator(mode="after")
-    def _one_of_both(self) -> Self:
-        if (self.force is None) == (self.torque is None):
-            raise RuleError("must give exactly one of force, torque")
-        return self
-
-    @property
-    def size(self) -> float:
-        """Of the load, N or N m."""
-        return self.force or self.torque or 0.0
-
-    def __str__(self) -> str:
-        """In words: ``-300 N``."""
-        return f"{self.size:g} {'N' if self.torque is None else 'N m'}"
-
-
 class Bands(Part):
     """Bands of the stored spectra: on each of the first ``orders``, then ``per_octave``, up to ``f_max`` [Hz]."""
 
@@ -293,9 +263,6 @@ SPEED = (0.97, 1.03)
 #: Factors on a motor's torque at each speed and on the inertia of the link that it drives: what IEC 60034-1 allows of
 #: slip (a fifth either way) and inertia (a tenth); and where the machine's data cannot be trusted.
 EFFORT, DRIVER_INERTIA, WIDE_EFFORT = (0.8, 1.25), (0.9, 1.1), (0.7, 1.4)
-
-#: Factors on the loads that a plan asks for: what a process needs is known so well.
-DAY_LOAD = (0.8, 1.2)
 
 #: Process load, as a part of the weight and the inertia of the moving links; and orders of what comes and goes with a
 #: turn, each as a part of that: a force on one of two strokes is 1/2, 0.64, 0 and 0.21 of itself in orders 0 to 3.
