@@ -106,12 +106,14 @@ def seeded(address: str, folder: Path) -> Path:
         measurement = made("POST", "/measurements", files={"file": ("r.csv", recording)})
         diagnosis = made("POST", "/diagnoses", json={**body, "measurement": measurement})
         said = {"text": "bush worn", "at": "2026-03-01T08:00:00Z"}
+        hook = made("POST", "/webhooks", json={"url": "https://hooks.example/", "events": event})
         real = {
             examples.MEASUREMENT: measurement,
             examples.DIAGNOSIS: diagnosis,
             examples.FINDING: made("POST", f"/diagnoses/{diagnosis}/finding", json=said),
             examples.BUILD: made("POST", "/builds", json={"machine": catalogue["machine"], "catalogue": "new"}),
-            examples.WEBHOOK: made("POST", "/webhooks", json={"url": "https://hooks.example/", "events": event}),
+            examples.WEBHOOK: hook,
+            examples.DELIVERY: made("POST", f"/webhooks/{hook}/test"),
             examples.KEY: made("POST", "/keys", json={"name": "fuzz", "scopes": ["read"]}),
             examples.ENTRY: str(entry["key"])[:12],
             "slider-crank": catalogue["name"],

@@ -27,6 +27,7 @@ DIAGNOSIS = "5b1e0c9d8a7f46352413f0e1d2c3b4a5"
 BUILD = "58131617bf3da29c5b6c8cf7718f0dd5"
 FINDING = "9d2f6b1c4e8a40739b5c6d7e8f901a2b"
 WEBHOOK = "3a1d5e7f9b2c4d6e8f0a1b2c3d4e5f60"
+DELIVERY = "7c4b9a2e1d6f4830a5b7c9d1e3f50246"
 ENTRY = "61e0e39c6d7a"
 KEY = "3f9c21d07a55"
 
@@ -39,6 +40,7 @@ PARAMETERS: tuple[tuple[str, str, Any], ...] = (
     ("key", "/api/v1/findings", FINDING),
     ("key", "/api/v1/webhooks", WEBHOOK),
     ("key", "/api/v1/keys", KEY),
+    ("delivery", "/api/v1/webhooks", DELIVERY),
     ("name", "/api/v1/", "slider-crank"),
     ("external_id", "", "press-7"),
     ("measurement", "", MEASUREMENT),

@@ -24,6 +24,7 @@ from jointplay.app.errors import (
     KeyInUseError,
     KeyRevokedError,
     TimeLimitError,
+    WebhookDisabledError,
     WorkerDiedError,
 )
 from jointplay.app.http import examples
@@ -44,6 +45,7 @@ BINARY = ("application/pdf", "application/x-hdf5", "application/x-npy")
 #: What creates comes first, and gives the ids that the others ask for; what forgets comes last.
 FIRST = (
     "/api/v1/webhooks",
+    "/api/v1/webhooks/{key}/test",
     "/api/v1/keys",
     "/api/v1/measurements",
     "/api/v1/assets/{external_id}",
@@ -61,6 +63,7 @@ CREATED = {
     "/api/v1/builds": examples.BUILD,
     "/api/v1/diagnoses/{key}/finding": examples.FINDING,
     "/api/v1/webhooks": examples.WEBHOOK,
+    "/api/v1/webhooks/{key}/test": examples.DELIVERY,
     "/api/v1/keys": examples.KEY,
     "/api/v1/measurements": examples.MEASUREMENT,
 }
@@ -254,6 +257,8 @@ class ExampleService:
             return CatalogueMismatchError("press-7", "holds a catalogue of another machine: name another folder")
         if call.path.endswith("/rotate") and status == 409:
             return KeyRevokedError(f"the key {call.where['key']} was revoked; make another")
+        if call.path.endswith("/redelivery") and status == 409:
+            return WebhookDisabledError(f"webhook {call.where['key']}: is disabled; a test that succeeds enables it")
         if "entries" in call.path and status in (409, 500):
             if status == 409:
                 return CatalogueMismatchError("slider-crank", "has layout 1; this program reads layout 2")
