@@ -21,7 +21,8 @@ from sqlalchemy import func, select
 from sqlalchemy.engine import URL, make_url
 
 from jointplay.app.errors import BackupError
-from jointplay.app.storage import assets, build_queue, idempotency, keys, remembered, retention, webhooks
+from jointplay.app.storage import assets, belonging, build_queue, idempotency, keys, remembered, retention, webhooks
+from jointplay.app.storage.belonging import BelongingRow
 from jointplay.app.storage.copying import HASHES, Copier, Damage, copy_rows, digest_of, read_hashes
 from jointplay.app.storage.database import REVISION, ServiceDatabase, database_url
 from jointplay.app.storage.rows import Base, MeasurementRow, now
@@ -30,7 +31,7 @@ from jointplay.app.storage.tombstones import deleted
 from jointplay.catalogue.storage.directory import CatalogueDirectory, publish
 
 #: All tables are known once the modules that define them are loaded.
-_DEFINING = (assets, build_queue, idempotency, keys, remembered, retention, webhooks)
+_DEFINING = (assets, belonging, build_queue, idempotency, keys, remembered, retention, webhooks)
 TABLES = Base.metadata
 
 FORMAT = 1
@@ -160,6 +161,7 @@ def restore(source: Path, place: Place) -> dict[str, Any]:
         for name in content["catalogues"]:
             copy_catalogue(shelf, source / "catalogues" / name, name, place.catalogues.name)
         copy_rows(copy, target, copier.damaged)  # last: rows speak of files
+        belonging.tie(place.data, target, anew=True)  # the copied service and its folder have an id of their own
     found = [damage for damage in (*copier.damaged, *shelf.damaged) if (damage.what, damage.name) not in known]
     return {**content, "damaged": [*content.get("damaged", ()), *(damage.document() for damage in found)]}
 
@@ -241,9 +243,10 @@ def open_database(url: URL) -> Iterator[ServiceDatabase]:
 
 
 def rows_in(database: ServiceDatabase) -> int:
-    """Return the number of rows in all tables."""
+    """Return the number of rows in all tables; that of its folder, which a service makes first, is none."""
     with database.reading() as session:
-        return sum(session.scalar(select(func.count()).select_from(table)) or 0 for table in TABLES.sorted_tables)
+        tables = [table for table in TABLES.sorted_tables if table.name != BelongingRow.__tablename__]
+        return sum(session.scalar(select(func.count()).select_from(table)) or 0 for table in tables)
 
 
 @contextmanager

@@ -130,6 +130,7 @@ class Store:
         file = URL.create("sqlite", database=str(directory / "service.sqlite"))
         self.database = ServiceDatabase(database_url(url) if url else file, Base.metadata)
         self.files = StoredFiles(directory, self.database)
+        self.files.settle()
         audit.attend(self.database)
         self._session = self.database.session
 

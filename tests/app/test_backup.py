@@ -205,6 +205,9 @@ def test_a_second_backup_copies_what_is_new(kept: Kept) -> None:
     with closing(Store(place.data)) as store:
         assert [row.id for row in store.measurements(None, 9)] == [row.id for row in reversed(kept.rows)]
         assert all(store.path_of(row.sha256).stat().st_size == 1_000_000 for row in kept.rows)
+        assert store.files.why_apart() == ""
+    ids = [(folder / "database.id").read_text() for folder in (kept.place.data, place.data)]
+    assert len(set(ids)) == 2  # the copy is of its own
 
 
 @pytest.mark.parametrize("how", ["is not what it was", "is missing"])

@@ -27,6 +27,7 @@ from jointplay.app.errors import (
     UnknownMeasurementError,
 )
 from jointplay.app.etags import Conditions
+from jointplay.app.jobs.housekeeper import Housekeeper
 from jointplay.app.schemas.assets import AssetIn, FindingIn
 from jointplay.app.storage import retention
 from jointplay.app.storage.assets import Assets
@@ -38,7 +39,7 @@ from jointplay.app.storage.removal import GOING, Removal
 from jointplay.app.storage.retention import Quotas, kept_of
 from jointplay.app.storage.rows import MeasurementRow, now
 from jointplay.app.storage.store import NewDiagnosis, Store
-from jointplay.app.storage.stored_files import ABANDONED_S, PARTIAL, StoredFiles
+from jointplay.app.storage.stored_files import ABANDONED_S, ORPHANS_S, PARTIAL, StoredFiles
 from jointplay.app.storage.usage import days_to_fill, measure
 from jointplay.app.storage.webhooks import DeliveryRow, Webhooks, announce
 
@@ -309,6 +310,76 @@ def test_what_killed_servers_left_is_tidied_while_others_run(store: Store) -> No
     assert len(list(pruner(store).prune())) == 2
     assert files(store) == {young.path.name, row.sha256, "notes.txt"}
     assert young.path.name.startswith(PARTIAL)
+    aside = store.directory / "orphans" / named.sha256
+    assert aside.read_bytes() == b"named"
+    os.utime(aside, (old, old))
+    assert list(pruner(store).prune()) == []  # a day is not enough
+    month = time.time() - ORPHANS_S - 60
+    os.utime(aside, (month, month))
+    expected = [("files in orphans/", (named.sha256,))]
+    assert [(each.what, each.ids) for each in pruner(store).look()] == expected
+    assert [(each.what, each.ids) for each in pruner(store).prune()] == expected
+    assert not aside.exists()
+
+
+def age_files(store: Store, *, by_s: float = ABANDONED_S + 60) -> None:
+    for path in (store.directory / "measurements").rglob("*"):
+        os.utime(path, (time.time() - by_s,) * 2)
+
+
+def test_nothing_goes_beside_the_database_of_another(
+    url: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    with closing(Store(tmp_path / "data", url)) as store:
+        rows = [stored(store, CONTENT + bytes([65 + k])) for k in range(3)]
+        age_files(store)
+        assert store.files.why_apart() == ""
+    with closing(Store(tmp_path / "data", f"sqlite:///{tmp_path / 'wrong.sqlite'}")) as wrong:
+        for _ in range(2):
+            assert "it has the id of another database than" in pruner(wrong).why_apart()
+            assert pruner(wrong).look() == list(pruner(wrong).prune()) == []
+            (tmp_path / "data" / "database.id").unlink(missing_ok=True)  # as folders of before there were ids
+            assert "most of its files are of another database than" in pruner(wrong).why_apart()
+            assert pruner(wrong).look() == list(pruner(wrong).prune()) == []
+            stored(wrong, b"new")  # one that is spoken of is not most of them
+            (tmp_path / "data" / "database.id").write_text("0" * 32)
+        keeper = Housekeeper(pruner(wrong))
+        keeper.step()
+        keeper.step()
+        assert caplog.text.count("files of no recording stay there; name the right one in JOINTPLAY_DATABASE") == 1
+        assert {row.sha256 for row in rows} < files(wrong)
+        (tmp_path / "data" / "database.id").unlink()
+    with closing(Store(tmp_path / "data", url)) as store:
+        age_files(store)
+        (gone,) = pruner(store).prune()  # most of its files are its own: that of the other is put aside
+        assert gone.what == "files of no recording"
+        assert files(store) == {row.sha256 for row in rows}
+        assert (tmp_path / "data" / "database.id").is_file()
+
+
+def test_what_was_put_aside_comes_back_with_its_row(store: Store) -> None:
+    row = stored(store)
+    aside = store.directory / "orphans" / row.sha256
+    aside.parent.mkdir()
+    store.path_of(row.sha256).rename(aside)  # its row had been lost, and is back from a backup
+    assert list(pruner(store).prune()) == []
+    assert store.path_of(row.sha256).read_bytes() == CONTENT
+    assert not aside.exists()
+
+
+def test_what_fails_keeps_nothing_else_from_going(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    late = store.receive(io.BytesIO(b"sending"))
+    os.utime(late.path, (0, 0))
+
+    def fail(*_: object, **__: object) -> None:
+        raise OSError("no")
+
+    monkeypatch.setattr(Pruner, "_prune_expired", fail)
+    monkeypatch.setattr(Pruner, "_prune_told", fail)
+    with pytest.raises(OSError, match="no") as failed:
+        list(pruner(store).prune())
+    assert failed.value.__notes__ == ["besides: OSError: no"]
+    assert not late.path.exists()
 
 
 def test_deliveries_that_were_made_go(store: Store) -> None:
