@@ -71,7 +71,7 @@ class Pruner:
         """Return what would go; nothing is changed."""
         found = []
         for of, days in self._keep.items():
-            rows = self._expired(of, days, None)
+            rows = self._expired(of, days)
             found.append(Going(*self._said(of, days), tuple(key for key, _ in rows), sum(size for _, size in rows)))
         apart = self._store.files.why_apart()
         partials, orphans = self._partials(), [] if apart else list(self._store.files.orphans())
@@ -119,11 +119,10 @@ class Pruner:
         removal = Removal(self._store)
         for of, days in self._keep.items():
             what, why = self._said(of, days)
-            while rows := self._expired(of, days, BATCH):
-                gone = removal.delete_measurements([key for key, _ in rows], why)
-                if not gone:  # somebody else was faster, or they are needed since just now
-                    break
-                yield Going(what, why, tuple(gone), sum(gone.values()))
+            for rows in parts(self._expired(of, days), BATCH):
+                # Those stay for now that somebody needs since just now, and damaged ones.
+                if gone := removal.delete_measurements([key for key, _ in rows], why):
+                    yield Going(what, why, tuple(gone), sum(gone.values()))
 
     def _prune_partials(self) -> Iterator[Going]:
         for path, size in self._partials():
@@ -156,7 +155,7 @@ class Pruner:
     def _said(self, of: str, days: float) -> tuple[str, str]:
         return f"{of} recordings", f"kept for {days:g} days"
 
-    def _expired(self, of: str, days: float, most: int | None) -> Sequence[tuple[str, int]]:
+    def _expired(self, of: str, days: float) -> Sequence[tuple[str, int]]:
         """Ids and sizes of recordings of a class whose time is over; not those on hold, and no baseline in use."""
         first = select(AssetRow.baseline).where(AssetRow.baseline.is_not(None))
         with self._store.database.reading() as session:
@@ -167,7 +166,7 @@ class Pruner:
                 MeasurementRow.id.not_in(first),
                 MeasurementRow.id.not_in(select(AssetBaselineRow.measurement)),
             )
-            found = session.execute(query.order_by(MeasurementRow.number).limit(most))
+            found = session.execute(query.order_by(MeasurementRow.number))
             return [(str(key), int(size)) for key, size in found]
 
     def _partials(self) -> list[tuple[Path, int]]:

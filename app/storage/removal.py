@@ -7,16 +7,19 @@ files without a row, which are tidied later, never a row without its file.
 
 from __future__ import annotations
 
+import logging
 import shutil
 import time
 from collections.abc import Collection, Iterable
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
-from sqlalchemy import delete, or_, select
+from sqlalchemy import delete, or_, select, update
 from sqlalchemy.orm import Session
 
 from jointplay.app.actor import actor
-from jointplay.app.errors import BuildOpenError, InUseError
+from jointplay.app.errors import BuildOpenError, DamagedRowError, InUseError
 from jointplay.app.storage import audit, idempotency
 from jointplay.app.storage.assets import (
     AssetBaselineRow,
@@ -29,14 +32,16 @@ from jointplay.app.storage.assets import (
     touch,
     touch_owners,
 )
-from jointplay.app.storage.build_queue import ENDED, BuildQueue, BuildRow
+from jointplay.app.storage.build_queue import ENDED, BuildDeathsRow, BuildQueue, BuildRow
 from jointplay.app.storage.machine_store import MachineStore
 from jointplay.app.storage.remembered import RememberedRow
 from jointplay.app.storage.retention import kept_of, refuse_held
-from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
+from jointplay.app.storage.rows import Damaged, DiagnosisRow, MeasurementRow, rows_of
 from jointplay.app.storage.store import Store
-from jointplay.app.storage.tombstones import Kind, TombstoneRow, bury, deleted
+from jointplay.app.storage.tombstones import Kind, TombstoneRow, bury, deleted, refuse_deleted
 from jointplay.catalogue.storage.directory import CatalogueDirectory
+
+log = logging.getLogger(__name__)
 
 GOING = ".deleted-"
 """Beginning of the name of a folder that is being deleted."""
@@ -64,25 +69,29 @@ class Removal:
         InUseError
             When it is on hold, a baseline of an asset, or evidence.
         """
-        found = self._store.measurement(key)
+        with suppress(DamagedRowError):  # which may go all the same
+            self._store.measurement(key)
         with self._database.writing() as session:
+            query = select(MeasurementRow.sha256).where(MeasurementRow.id == key).with_for_update(key_share=True)
+            sha256 = session.scalars(query).one()
+            refuse_deleted(session, "measurement", [key])
             refuse_held(session, [key])
             refuse_baseline(session, key)
             if kept_of(session, key).of == "evidence":
                 raise InUseError(f"measurement {key}: is evidence{evidence_of(session, key)}", field="measurement")
-            self._bury_measurements(session, {key: found.sha256}, why)
-        self._drop({key: found.sha256})
+            self._bury_measurements(session, {key: sha256}, why)
+        self._drop({key: sha256})
 
     def delete_measurements(self, keys: Collection[str], why: str) -> dict[str, int]:
         """Delete recordings whose time is over, whatever they were; returns the sizes of those that went.
 
         Those stay that are on hold or baselines of an asset by now.
         """
+        damaged: list[Damaged] = []
         with self._database.writing() as session:
-            query = select(MeasurementRow).where(MeasurementRow.id.in_(list(keys)))
-            found = {
-                row.id: row for row in session.scalars(query.where(MeasurementRow.id.not_in(deleted("measurement"))))
-            }
+            query = select(MeasurementRow).where(MeasurementRow.id.in_(list(keys))).order_by(MeasurementRow.number)
+            query = query.where(MeasurementRow.id.not_in(deleted("measurement"))).with_for_update(key_share=True)
+            found = {row.id: row for row in rows_of(session, MeasurementRow, query, damaged)}
             for key in list(found):
                 try:
                     refuse_held(session, [key])
@@ -94,6 +103,8 @@ class Removal:
             )
             self._bury_measurements(session, checksums, why)
         self._drop(checksums)
+        for each in damaged:
+            log.warning("not tidied up: %s", each.problem)
         return sizes
 
     def _bury_measurements(self, session: Session, checksums: dict[str, str], why: str) -> None:
@@ -182,9 +193,11 @@ class Removal:
         """
         BuildQueue(self._database).find(key)
         with self._database.writing() as session:
-            gone = delete(BuildRow).where(BuildRow.id == key, BuildRow.state.in_(ENDED))
-            if session.scalar(gone.returning(BuildRow.id)) is None:
+            query = select(BuildRow).where(BuildRow.id == key, BuildRow.state.in_(ENDED)).with_for_update()
+            if session.scalar(query) is None:
                 raise BuildOpenError(f"build {key}: has not ended: cancel it first")
+            session.execute(delete(BuildDeathsRow).where(BuildDeathsRow.build == key))
+            session.execute(delete(BuildRow).where(BuildRow.id == key))
             self._bury(session, "build", key, why, "", f"/api/v1/builds/{key}")
 
     def delete_machine(self, machines: MachineStore, name: str, why: str) -> None:
@@ -235,8 +248,9 @@ class Removal:
             if build is not None:
                 rule = f"build {build} has not ended: cancel it first"
                 raise InUseError(f"catalogue {name}: {rule}", field="catalogue")
-            used = select(DiagnosisRow).where(DiagnosisRow.catalogue == identity)
-            refuse_held(session, {key for row in session.scalars(used) for key in row.measurements})
+            columns = (DiagnosisRow.measurement, DiagnosisRow.request["measurements"])
+            used = session.execute(select(*columns).where(DiagnosisRow.catalogue == identity))
+            refuse_held(session, {key for first, several in used for key in several or [first]})
             for each in (name, *([identity] if identity else [])):
                 self._bury(session, "catalogue", each, why, "", f"/api/v1/catalogues/{each}")
 
@@ -269,8 +283,9 @@ def refuse_baseline(session: Session, key: str) -> None:
 
 def evidence_of(session: Session, key: str) -> str:
     """Return why a recording is evidence, and what to do about that."""
-    answers = select(DiagnosisRow).join(FindingRow, FindingRow.diagnosis == DiagnosisRow.id)
-    found = [row.id for row in session.scalars(answers) if key in row.measurements]
+    columns = (DiagnosisRow.id, DiagnosisRow.measurement, DiagnosisRow.request["measurements"])
+    answers = session.execute(select(*columns).join(FindingRow, FindingRow.diagnosis == DiagnosisRow.id))
+    found = [of for of, first, several in answers if key in (several or [first])]
     cure = f"say that it is routine first, with PUT /measurements/{key}/retention"
     return f" (a finding speaks of diagnosis {found[0]}): {cure}" if found else f": {cure}"
 
@@ -284,8 +299,16 @@ def empty_unspoken(session: Session, keys: Iterable[str]) -> None:
     several = DiagnosisRow.request["measurements"]
     for found in session.scalars(select(several).where(several.as_string().is_not(None))):
         spoken.update(found or ())
-    for row in session.scalars(select(MeasurementRow).where(MeasurementRow.id.in_(asked - spoken))):
-        row.name, row.said, row.summary = "", {}, {"channels": [], "warnings": []}
+    query = select(MeasurementRow).where(MeasurementRow.id.in_(asked - spoken))
+    damaged: list[Damaged] = []
+    rows_of(session, MeasurementRow, query, damaged)
+    numbers = [each.number for each in damaged]
+    emptied: dict[str, Any] = {"name": "", "said": {}, "summary": {"channels": [], "warnings": []}}
+    for row in session.scalars(query.where(MeasurementRow.number.not_in(numbers))):
+        for name, value in emptied.items():
+            setattr(row, name, value)
+    # Of those the same goes, but they stay as damaged as they were.
+    session.execute(update(MeasurementRow).where(MeasurementRow.number.in_(numbers)).values(emptied))
 
 
 def tidy_folders(catalogues: Path) -> int:

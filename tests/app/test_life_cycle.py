@@ -32,12 +32,12 @@ from jointplay.app.schemas.assets import AssetIn, FindingIn
 from jointplay.app.storage import retention
 from jointplay.app.storage.assets import Assets
 from jointplay.app.storage.audit import AuditLog
-from jointplay.app.storage.build_queue import BuildQueue
+from jointplay.app.storage.build_queue import BuildDeathsRow, BuildQueue
 from jointplay.app.storage.machine_store import MachineStore
 from jointplay.app.storage.pruning import Pruner
 from jointplay.app.storage.removal import GOING, Removal
 from jointplay.app.storage.retention import Quotas, kept_of
-from jointplay.app.storage.rows import MeasurementRow, now
+from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow, now
 from jointplay.app.storage.store import NewDiagnosis, Store
 from jointplay.app.storage.stored_files import ABANDONED_S, ORPHANS_S, PARTIAL, StoredFiles
 from jointplay.app.storage.usage import days_to_fill, measure
@@ -225,6 +225,8 @@ def test_builds_that_ended_and_own_machines_may_go(store: Store) -> None:
     with pytest.raises(BuildOpenError, match="has not ended: cancel it first"):
         removal.delete_build(row.id, "")
     queue.cancel(row.id)
+    with store.database.writing() as session:  # it had died once
+        session.add(BuildDeathsRow(build=row.id, in_a_row=1, most_done=0))
     removal.delete_build(row.id, "")
     with pytest.raises(DeletedError, match=f"build {row.id}"):
         queue.find(row.id)
@@ -289,6 +291,31 @@ def test_recordings_go_when_their_time_is_over(store: Store) -> None:
         store.measurement(routine.id)
     (gone,) = pruner(store, evidence=50.0).prune()
     assert gone.ids == (evidence.id,)
+
+
+def test_a_damaged_row_keeps_no_other_from_going_and_goes_when_it_is_told(
+    store: Store, caplog: pytest.LogCaptureFixture
+) -> None:
+    rows = [stored(store, CONTENT + bytes([65 + k])) for k in range(3)]
+    key = diagnosed(store, rows[2])
+    found(store, key)
+    aged(store, *rows)
+    with store.database.writing() as session:
+        damage = update(MeasurementRow).where(MeasurementRow.id == rows[0].id).values(name="other.csv")
+        session.execute(damage)
+        session.execute(update(DiagnosisRow).values(catalogue="other"))
+    (gone,) = pruner(store, routine=90.0).prune()
+    assert gone.ids == (rows[1].id,)
+    assert f"not tidied up: measurement {rows[0].id}: its row is not what was written" in caplog.text
+    with pytest.raises(InUseError, match=rf"\(a finding speaks of diagnosis {key}\)"):
+        Removal(store).delete_measurement(rows[2].id, "")
+    Removal(store)._bury_catalogue("made", "other", "")
+    Removal(store).delete_measurement(rows[0].id, "damaged")
+    assert files(store) == {rows[2].sha256}
+    with store.database.reading() as session:
+        assert session.scalar(select(MeasurementRow.name).where(MeasurementRow.id == rows[0].id)) == ""
+    with pytest.raises(DeletedError, match="damaged"):
+        Removal(store).delete_measurement(rows[0].id, "")
 
 
 def test_what_killed_servers_left_is_tidied_while_others_run(store: Store) -> None:
