@@ -28,6 +28,7 @@ from jointplay.app.storage.assets import (
     AssetRow,
     Assets,
     FindingRow,
+    deleted_meanwhile,
     measurements_of,
     touch,
     touch_owners,
@@ -173,8 +174,13 @@ class Removal:
         InUseError
             When one of its recordings is on hold.
         """
-        Assets(self._database).asset(external_id)
+        with suppress(DamagedRowError):  # which may go all the same
+            Assets(self._database).asset(external_id)
         with self._database.writing() as session:
+            # First: whoever is noting something of it has done so, or will find that it is gone.
+            query = select(AssetRow.number).where(AssetRow.external_id == external_id).with_for_update()
+            if session.scalar(query) is None:
+                raise deleted_meanwhile(external_id)
             refuse_held(session, session.scalars(measurements_of(external_id)))
             for table in (AssetMeasurementRow, AssetDiagnosisRow, AssetBaselineRow, RememberedRow):
                 session.execute(delete(table).where(table.asset == external_id))

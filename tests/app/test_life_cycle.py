@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 import io
 import os
 import time
 from collections.abc import Callable
 from contextlib import closing
-from datetime import timedelta
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -24,10 +25,13 @@ from jointplay.app.errors import (
     InUseError,
     QuotaError,
     ShippedMachineError,
+    UnknownAssetError,
     UnknownMeasurementError,
 )
 from jointplay.app.etags import Conditions
 from jointplay.app.jobs.housekeeper import Housekeeper
+from jointplay.app.jobs.standing_keeper import StandingKeeper
+from jointplay.app.jobs.workers import WorkerPool
 from jointplay.app.schemas.assets import AssetIn, FindingIn
 from jointplay.app.storage import retention
 from jointplay.app.storage.assets import Assets
@@ -38,10 +42,12 @@ from jointplay.app.storage.pruning import Pruner
 from jointplay.app.storage.removal import GOING, Removal
 from jointplay.app.storage.retention import Quotas, kept_of
 from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow, now
+from jointplay.app.storage.standings import Due, Standings
 from jointplay.app.storage.store import NewDiagnosis, Store
 from jointplay.app.storage.stored_files import ABANDONED_S, ORPHANS_S, PARTIAL, StoredFiles
 from jointplay.app.storage.usage import days_to_fill, measure
 from jointplay.app.storage.webhooks import DeliveryRow, Webhooks, announce
+from jointplay.catalogue.following.standing import Known
 
 SUMMARY = {"kind": "recording", "channels": [{"name": "s1-x", "unit": "g"}], "warnings": [], "import_report": []}
 MACHINE = {"name": "press", "joints": {"A": {"kind": "turning"}}}
@@ -217,6 +223,44 @@ def test_an_asset_leaves_its_recordings(store: Store) -> None:
     assert store.measurement(row.id).id == store.diagnosis(key).measurement == row.id
     assert assets.put("press-7", AssetIn(machine="press"))[1]
     assert assets.asset("press-7").in_order == ()
+
+
+def test_an_asset_that_is_deleted_while_something_works_for_it(store: Store) -> None:
+    assets, standings, row = Assets(store.database), Standings(store.database), stored(store)
+    key = diagnosed(store, row)
+    assets.put("press-7", AssetIn(machine="press"))
+    due = standings.take(now())
+    assert due is not None
+    standings.postpone(due, now())
+
+    class Meanwhile:
+        """Takes what is due, whose asset is deleted then."""
+
+        def take(self, moment: datetime) -> Due | None:
+            taken = standings.take(moment)
+            Removal(store).delete_asset("press-7", "sold")
+            return taken
+
+        def __getattr__(self, name: str) -> Any:
+            return getattr(standings, name)
+
+    keeper: Any = StandingKeeper(store, WorkerPool.__new__(WorkerPool))
+    keeper._standings = Meanwhile()
+    assert asyncio.run(keeper.step())
+    gone = r"^asset press-7: was deleted meanwhile$"
+    with pytest.raises(UnknownAssetError, match=gone):
+        standings.settle(due, Known(), now())
+    with pytest.raises(UnknownAssetError, match=gone):
+        assets.own("press-7", row.id)
+    with pytest.raises(UnknownAssetError, match=gone), store.database.writing() as session:
+        assets.note(session, "press-7", [], key)
+    upload = store.receive(io.BytesIO(b"late"))
+    with pytest.raises(UnknownAssetError, match=gone):
+        store.add_measurement(
+            upload, "late.csv", None, SUMMARY, lambda session, made: assets.own_in(session, "press-7", made)
+        )
+    store.settle(upload)
+    assert files(store) == {row.sha256}
 
 
 def test_builds_that_ended_and_own_machines_may_go(store: Store) -> None:
