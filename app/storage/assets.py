@@ -461,6 +461,11 @@ def about_asset(row: AssetRow) -> dict[str, Any]:
     return {**{name: getattr(row, name) for name in names}, "baselines": list(row.in_order)}
 
 
+def about_finding(row: FindingRow) -> dict[str, Any]:
+    """Return what somebody said in a finding."""
+    return {name: getattr(row, name) for name in SAID_OF_FINDING}
+
+
 def wearing_in(machine: Mapping[str, Any]) -> set[str]:
     """Return the joints of a stored machine that can wear."""
     return {name for name, joint in machine["joints"].items() if joint["kind"] == "turning" or "length" in joint}

@@ -28,17 +28,18 @@ from jointplay.app.storage.assets import (
     AssetRow,
     Assets,
     FindingRow,
+    about_asset,
+    about_finding,
     deleted_meanwhile,
     measurements_of,
     touch,
-    touch_owners,
 )
-from jointplay.app.storage.build_queue import ENDED, BuildDeathsRow, BuildQueue, BuildRow
+from jointplay.app.storage.build_queue import ENDED, BuildDeathsRow, BuildQueue, BuildRow, about_build
 from jointplay.app.storage.machine_store import MachineStore
 from jointplay.app.storage.remembered import RememberedRow
-from jointplay.app.storage.retention import kept_of, refuse_held
+from jointplay.app.storage.retention import hold_rows, kept_of, refuse_held
 from jointplay.app.storage.rows import Damaged, DiagnosisRow, MeasurementRow, rows_of
-from jointplay.app.storage.store import Store
+from jointplay.app.storage.store import Store, about_diagnosis
 from jointplay.app.storage.tombstones import Kind, TombstoneRow, bury, deleted, refuse_deleted
 from jointplay.catalogue.storage.directory import CatalogueDirectory
 
@@ -73,8 +74,8 @@ class Removal:
         with suppress(DamagedRowError):  # which may go all the same
             self._store.measurement(key)
         with self._database.writing() as session:
-            query = select(MeasurementRow.sha256).where(MeasurementRow.id == key).with_for_update(key_share=True)
-            sha256 = session.scalars(query).one()
+            hold_rows(session, [key])
+            sha256 = session.scalars(select(MeasurementRow.sha256).where(MeasurementRow.id == key)).one()
             refuse_deleted(session, "measurement", [key])
             refuse_held(session, [key])
             refuse_baseline(session, key)
@@ -90,8 +91,9 @@ class Removal:
         """
         damaged: list[Damaged] = []
         with self._database.writing() as session:
-            query = select(MeasurementRow).where(MeasurementRow.id.in_(list(keys))).order_by(MeasurementRow.number)
-            query = query.where(MeasurementRow.id.not_in(deleted("measurement"))).with_for_update(key_share=True)
+            hold_rows(session, keys)
+            query = select(MeasurementRow).where(MeasurementRow.id.in_(list(keys)))
+            query = query.where(MeasurementRow.id.not_in(deleted("measurement")))
             found = {row.id: row for row in rows_of(session, MeasurementRow, query, damaged)}
             for key in list(found):
                 try:
@@ -110,8 +112,11 @@ class Removal:
 
     def _bury_measurements(self, session: Session, checksums: dict[str, str], why: str) -> None:
         for key, sha256 in checksums.items():
-            self._bury(session, "measurement", key, why, sha256, f"/api/v1/measurements/{key}")
-            touch_owners(session, key)
+            self._bury(session, "measurement", key, why, {"sha256": sha256}, sha256)
+        idempotency.forget(session, [f"/api/v1/measurements/{key}" for key in checksums])
+        # All at once, so that assets are held in one order: others touch the same.
+        owners = select(AssetMeasurementRow.asset).where(AssetMeasurementRow.measurement.in_(list(checksums)))
+        touch(session, AssetRow.external_id.in_(owners))
         empty_unspoken(session, checksums)
 
     def _drop(self, checksums: dict[str, str]) -> None:
@@ -143,7 +148,8 @@ class Removal:
             session.execute(delete(DiagnosisRow).where(DiagnosisRow.id == key))
             gone = deleted("measurement").where(TombstoneRow.id.in_(row.measurements))
             empty_unspoken(session, list(session.scalars(gone)))
-            self._bury(session, "diagnosis", key, why, "", f"/api/v1/diagnoses/{key}")
+            self._bury(session, "diagnosis", key, why, about_diagnosis(row))
+            idempotency.forget(session, [f"/api/v1/diagnoses/{key}"])
 
     def delete_finding(self, key: str, why: str) -> None:
         """Delete what an inspection found.
@@ -162,7 +168,8 @@ class Removal:
             of = select(AssetRow.machine).where(AssetRow.external_id == found.asset)
             touch(session, AssetRow.machine == of.scalar_subquery())
             session.execute(delete(FindingRow).where(FindingRow.id == key))
-            self._bury(session, "finding", key, why, "", f"/api/v1/findings/{key}")
+            self._bury(session, "finding", key, why, about_finding(found))
+            idempotency.forget(session, [f"/api/v1/findings/{key}"])
 
     def delete_asset(self, external_id: str, why: str) -> None:
         """Delete an asset; its recordings and what was answered of them stay, and are nobody's.
@@ -174,8 +181,9 @@ class Removal:
         InUseError
             When one of its recordings is on hold.
         """
+        before = None
         with suppress(DamagedRowError):  # which may go all the same
-            Assets(self._database).asset(external_id)
+            before = about_asset(Assets(self._database).asset(external_id))
         with self._database.writing() as session:
             # First: whoever is noting something of it has done so, or will find that it is gone.
             query = select(AssetRow.number).where(AssetRow.external_id == external_id).with_for_update()
@@ -185,7 +193,8 @@ class Removal:
             for table in (AssetMeasurementRow, AssetDiagnosisRow, AssetBaselineRow, RememberedRow):
                 session.execute(delete(table).where(table.asset == external_id))
             session.execute(delete(AssetRow).where(AssetRow.external_id == external_id))
-            self._bury(session, "asset", external_id, why, "", f"/api/v1/assets/{external_id}")
+            self._bury(session, "asset", external_id, why, before)
+            idempotency.forget(session, [f"/api/v1/assets/{external_id}"])
 
     def delete_build(self, key: str, why: str) -> None:
         """Delete what is known of a build that has ended; its catalogue stays.
@@ -200,11 +209,12 @@ class Removal:
         BuildQueue(self._database).find(key)
         with self._database.writing() as session:
             query = select(BuildRow).where(BuildRow.id == key, BuildRow.state.in_(ENDED)).with_for_update()
-            if session.scalar(query) is None:
+            if (row := session.scalar(query)) is None:
                 raise BuildOpenError(f"build {key}: has not ended: cancel it first")
             session.execute(delete(BuildDeathsRow).where(BuildDeathsRow.build == key))
             session.execute(delete(BuildRow).where(BuildRow.id == key))
-            self._bury(session, "build", key, why, "", f"/api/v1/builds/{key}")
+            self._bury(session, "build", key, why, about_build(row))
+            idempotency.forget(session, [f"/api/v1/builds/{key}"])
 
     def delete_machine(self, machines: MachineStore, name: str, why: str) -> None:
         """Delete a machine that was put here, with its versions; catalogues and diagnoses have theirs with them.
@@ -219,7 +229,8 @@ class Removal:
         machines.check_own(name)
         with self._database.writing() as session:
             # First: until the file is gone as well, the machine is there and nobody looks for its tombstone.
-            self._bury(session, "machine", name, why, "", f"/api/v1/machines/{name}")
+            self._bury(session, "machine", name, why, None)
+            idempotency.forget(session, [f"/api/v1/machines/{name}"])
         machines.remove(name)
 
     def delete_catalogue(self, folder: Path, identity: str, why: str, *, last: bool = True) -> None:
@@ -257,14 +268,17 @@ class Removal:
             columns = (DiagnosisRow.measurement, DiagnosisRow.request["measurements"])
             used = session.execute(select(*columns).where(DiagnosisRow.catalogue == identity))
             refuse_held(session, {key for first, several in used for key in several or [first]})
-            for each in (name, *([identity] if identity else [])):
-                self._bury(session, "catalogue", each, why, "", f"/api/v1/catalogues/{each}")
+            names = (name, *([identity] if identity else []))
+            for each in names:
+                self._bury(session, "catalogue", each, why, None)
+            idempotency.forget(session, [f"/api/v1/catalogues/{each}" for each in names])
 
-    def _bury(self, session: Session, kind: Kind, key: str, why: str, sha256: str, place: str) -> None:
-        """Note in a transaction that something is deleted; no answer that is kept says that it is there."""
+    def _bury(
+        self, session: Session, kind: Kind, key: str, why: str, before: dict[str, Any] | None, sha256: str = ""
+    ) -> None:
+        """Note in a transaction that something is deleted, and what it was."""
         bury(session, kind, key, actor().name, why, sha256)
-        idempotency.forget(session, place)
-        audit.note(session, "deleted", kind, key, {"sha256": sha256} if sha256 else None, {"why": why})
+        audit.note(session, "deleted", kind, key, before, {"why": why})
 
 
 def baseline_of(session: Session, key: str) -> str | None:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import asyncio
 import io
 import os
+import re
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -14,9 +16,10 @@ from typing import Any
 
 import pytest
 from answers import diagnosis
-from sqlalchemy import select, update
+from sqlalchemy import event, select, update
 from sqlalchemy.orm import Session
 
+from jointplay import app
 from jointplay.app.actor import Actor, acting
 from jointplay.app.errors import (
     BuildOpenError,
@@ -37,6 +40,7 @@ from jointplay.app.storage import retention
 from jointplay.app.storage.assets import Assets
 from jointplay.app.storage.audit import AuditLog
 from jointplay.app.storage.build_queue import BuildDeathsRow, BuildQueue
+from jointplay.app.storage.idempotency import IdempotencyRow
 from jointplay.app.storage.machine_store import MachineStore
 from jointplay.app.storage.pruning import Pruner
 from jointplay.app.storage.removal import GOING, Removal
@@ -360,6 +364,90 @@ def test_a_damaged_row_keeps_no_other_from_going_and_goes_when_it_is_told(
         assert session.scalar(select(MeasurementRow.name).where(MeasurementRow.id == rows[0].id)) == ""
     with pytest.raises(DeletedError, match="damaged"):
         Removal(store).delete_measurement(rows[0].id, "")
+
+
+def test_a_deletion_says_what_it_was(store: Store) -> None:
+    assets, removal, log = Assets(store.database), Removal(store), AuditLog(store.database)
+    row = stored(store)
+    assets.put("press-7", AssetIn(machine="press", notes="hall 2"))
+    key = diagnosed(store, row, asset="press-7")
+    finding = found(store, key)
+    build = BuildQueue(store.database).add({"name": "m"}, {"name": "p"}, "h" * 64, "made", None).id
+    BuildQueue(store.database).cancel(build)
+    removal.delete_finding(finding, "")
+    removal.delete_diagnosis(key, "")
+    removal.delete_asset("press-7", "")
+    removal.delete_build(build, "")
+    removal.delete_measurement(row.id, "")
+    gone = {each.kind: each.before or {} for each in log.page(None, 50) if each.action == "deleted"}
+    made = {each.kind: each.after or {} for each in log.page(None, 50) if each.action == "made"}
+    for kind in ("finding", "diagnosis", "asset", "build"):
+        assert gone[kind] == made[kind] != {}
+    assert gone["measurement"]["members"] == {"sha256": row.sha256}
+
+
+def statements(store: Store, act: Callable[[], Any]) -> list[str]:
+    """What a database is asked meanwhile."""
+    asked: list[str] = []
+
+    def note(_connection: object, _cursor: object, statement: str, *_: object) -> None:
+        asked.append(statement)
+
+    event.listen(store.database.engine, "before_cursor_execute", note)
+    act()
+    event.remove(store.database.engine, "before_cursor_execute", note)
+    return asked
+
+
+def test_assets_and_kept_answers_are_touched_once_for_a_batch(store: Store) -> None:
+    rows = [stored(store, CONTENT + bytes([65 + k])) for k in range(3)]
+    assets = Assets(store.database)
+    for row, name in zip(rows, ("c", "b", "a"), strict=True):
+        assets.put(name, AssetIn(machine="press"))
+        assets.own(name, row.id)
+    with store.database.writing() as session:
+        for row in rows:
+            kept = {"location": f"/api/v1/measurements/{row.id}"}
+            session.add(IdempotencyRow(id=row.id, fingerprint="f", created_at=now(), headers=kept, body=b""))
+    changes = [assets.asset(name).changes for name in "abc"]
+    asked = statements(store, lambda: Removal(store).delete_measurements([row.id for row in rows], ""))
+    assert sum(each.startswith("UPDATE assets") for each in asked) == 1
+    assert sum(each.startswith("DELETE FROM idempotency") for each in asked) == 1
+    assert [assets.asset(name).changes for name in "abc"] == [count + 1 for count in changes]
+    with store.database.reading() as session:
+        assert session.scalars(select(IdempotencyRow)).all() == []
+
+
+def test_what_is_deleted_is_put_on_no_hold(store: Store) -> None:
+    row = stored(store)
+    Removal(store).delete_measurement(row.id, "left")
+    with pytest.raises(DeletedError, match="left"):
+        retention.say(store.database, row.id, None, "claim 7")
+
+
+def test_two_that_say_how_a_recording_is_kept_at_once(store: Store) -> None:
+    row, holds = stored(store), ("claim 7", "claim 8", "claim 9", "claim 10")
+    with ThreadPoolExecutor(len(holds)) as pool:
+        said = list(pool.map(lambda hold: retention.say(store.database, row.id, None, hold).hold, holds))
+    assert said == list(holds)
+    if not store.database.is_sqlite:  # where rows are held one by one, a deletion waits for who says something
+        asked = statements(store, lambda: retention.say(store.database, row.id, None, None))
+        asked += statements(store, lambda: Removal(store).delete_measurement(row.id, ""))
+        assert sum("FOR NO KEY UPDATE" in each and "FROM measurements" in each for each in asked) == 2
+
+
+def test_as_many_recordings_as_there_are_may_be_evidence(store: Store) -> None:
+    row, other = stored(store), stored(store, CONTENT + b"A")
+    for first in (0, 24_000, 48_000):
+        request = {"measurements": [row.id, *(f"{number:032x}" for number in range(first, first + 24_000))]}
+        found(store, store.add_diagnosis(NewDiagnosis(row.id, "c", MACHINE, request, diagnosis())).id)
+    assert (class_of(store, row), class_of(store, other)) == ("evidence", "routine")
+
+
+def test_locks_of_a_database_differ() -> None:
+    texts = [path.read_text() for path in Path(app.__file__).parent.rglob("*.py")]
+    keys = [key for text in texts for key in re.findall(r"^\w+_LOCK = ([\d_]+)$", text, re.MULTILINE)]
+    assert len(set(keys)) == len(keys) >= 3
 
 
 def test_what_killed_servers_left_is_tidied_while_others_run(store: Store) -> None:
