@@ -13,9 +13,10 @@ from typing import TypeVar
 from sqlalchemy import select, text
 from sqlalchemy.orm import Session
 
+from jointplay.app.errors import RecordingDamagedError
 from jointplay.app.storage import belonging
 from jointplay.app.storage.database import ServiceDatabase
-from jointplay.app.storage.recording_files import NAMED
+from jointplay.app.storage.recording_files import CURE, NAMED
 from jointplay.app.storage.rows import MeasurementRow
 from jointplay.app.storage.tombstones import deleted
 
@@ -158,7 +159,7 @@ class StoredFiles:
             return
         with self._database.writing() as session:
             self.lock(session, alone=True)
-            for sha256 in set(checksums) - spoken_of(session, checksums):
+            for sha256 in set(filter(NAMED.fullmatch, checksums)) - spoken_of(session, checksums):
                 recording_path(self._directory, sha256).unlink(missing_ok=True)
 
     def drop_samples(self, key: str) -> None:
@@ -190,5 +191,13 @@ def parts(items: Iterable[Item], most: int) -> Iterator[list[Item]]:
 
 
 def recording_path(directory: Path, sha256: str) -> Path:
-    """Return where the bytes with a checksum lie below a folder of data."""
+    """Return where the bytes with a checksum lie below a folder of data.
+
+    Raises
+    ------
+    RecordingDamagedError
+        It is none: what a row says must not lead elsewhere.
+    """
+    if not NAMED.fullmatch(sha256):
+        raise RecordingDamagedError(f"recording {sha256[:16]!r}: is no SHA-256; {CURE}")
     return directory / RECORDINGS / sha256[:2] / sha256
