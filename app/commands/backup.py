@@ -73,6 +73,8 @@ def tell(content: dict[str, Any], done: str, folder: Path, *, as_json: bool) -> 
     else:
         for each in damaged:
             click.echo(f"damaged: {each['what']} {each['name']}: {each['how']}")
+        if gone := content.get("deleted_meanwhile"):
+            click.echo(f"deleted while it was copied: {len(gone)} recordings")
         rows = sum(content["rows"].values())
         catalogues = ", ".join(content["catalogues"]) or "none"
         size = f"; {content['copied_bytes'] / 1e6:.1f} MB new" if "copied_bytes" in content else ""

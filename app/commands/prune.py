@@ -41,7 +41,7 @@ def command(dry_run: bool, catalogues: Path | None, data: Path | None, as_json: 
     try:
         with acting_at_prompt():
             pruner = Pruner(store, settings.catalogues, settings.keep_days)
-            going = pruner.look()
+            going, apart = pruner.look(), pruner.why_apart()
             if not dry_run:
                 going = together(list(pruner.prune()))
             usage = measure(store)
@@ -52,6 +52,7 @@ def command(dry_run: bool, catalogues: Path | None, data: Path | None, as_json: 
         print_json(
             {
                 "deleted": not dry_run,
+                "apart": apart,
                 "going": [
                     {"what": each.what, "why": each.why, "bytes": each.size_bytes, "ids": list(each.ids)}
                     for each in going
@@ -61,6 +62,8 @@ def command(dry_run: bool, catalogues: Path | None, data: Path | None, as_json: 
             }
         )
         return
+    if apart:
+        click.echo(f"{apart}\n")
     tell(going, usage, days, dry_run)
 
 

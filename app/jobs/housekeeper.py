@@ -24,6 +24,7 @@ class Housekeeper:
 
     def __init__(self, pruner: Pruner) -> None:
         self._pruner = pruner
+        self._apart = ""
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="housekeeper", daemon=True)
 
@@ -46,6 +47,9 @@ class Housekeeper:
         """Tidy up, and log what has gone."""
         gone: dict[tuple[str, str], list[int]] = {}
         try:
+            if (apart := self._pruner.why_apart()) and apart != self._apart:
+                log.warning("%s", apart)
+            self._apart = apart
             for each in self._pruner.prune():
                 counted = gone.setdefault((each.what, each.why), [0, 0])
                 counted[0] += len(each.ids)
@@ -58,4 +62,4 @@ class Housekeeper:
             # Whatever it is, it must not end the thread; in an hour it is tried again.
             log.exception("not everything could be tidied up")
         for (what, why), (count, size) in gone.items():
-            log.info("deleted %d %s, %.3g MB: %s", count, what, size / 1e6, why)
+            log.info("tidied up %d %s, %.3g MB: %s", count, what, size / 1e6, why)

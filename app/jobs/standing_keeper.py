@@ -10,7 +10,15 @@ from datetime import timedelta
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.concurrency import run_in_threadpool
 
-from jointplay.app.errors import BusyError, DamagedRowError, NothingToFollowError, TimeLimitError, WorkerDiedError
+from jointplay.app.errors import (
+    BusyError,
+    DamagedRowError,
+    DeletedError,
+    NothingToFollowError,
+    TimeLimitError,
+    UnknownAssetError,
+    WorkerDiedError,
+)
 from jointplay.app.jobs import following
 from jointplay.app.jobs.workers import TaskFailedError, WorkerPool
 from jointplay.app.storage.rows import now
@@ -62,10 +70,12 @@ class StandingKeeper:
             return False
         try:
             known = due.known or await self._learn(due)
+            await run_in_threadpool(self._standings.settle, due, known, now())
         except BusyError:
             await run_in_threadpool(self._standings.postpone, due, now() + BUSY)
             return False
-        await run_in_threadpool(self._standings.settle, due, known, now())
+        except (UnknownAssetError, DeletedError):  # while it was being judged
+            return True
         return True
 
     async def _learn(self, due: Due) -> Known:

@@ -194,7 +194,7 @@ class Assets:
             if only_new and not new:
                 said = f"external_id: {external_id}: there is an asset of this id already"
                 raise BadFieldError(said, field="external_id")
-            row = one_locked(session, select(AssetRow).filter_by(external_id=external_id).with_for_update())
+            row = one_locked(session, external_id)
             before = None if new else about_asset(row)
             if row.in_order != in_order or any(getattr(row, name) != value for name, value in asked.items()):
                 for name, value in asked.items():
@@ -290,14 +290,28 @@ class Assets:
             touch(session, AssetRow.external_id == external_id)
 
     def own_in(self, session: Session, external_id: str, measurement: str) -> None:
-        """Note in a transaction that a stored measurement is of an asset."""
+        """Note in a transaction that a stored measurement is of an asset.
+
+        Raises
+        ------
+        UnknownAssetError
+            When the asset was deleted since somebody has looked.
+        """
+        hold(session, external_id)
         row = {"asset": external_id, "measurement": measurement}
         insert = self._database.insert(AssetMeasurementRow).values(row).on_conflict_do_nothing()
         if session.execute(insert.returning(AssetMeasurementRow.asset)).first() is not None:
             note(session, "gained", "asset", external_id, after={"measurement": measurement})
 
     def note(self, session: Session, external_id: str, measurements: Iterable[str], diagnosis: str) -> None:
-        """Note in a transaction that a diagnosis, and what it is of, belong to an asset."""
+        """Note in a transaction that a diagnosis, and what it is of, belong to an asset.
+
+        Raises
+        ------
+        UnknownAssetError
+            When the asset was deleted since somebody has looked.
+        """
+        hold(session, external_id)
         for measurement in measurements:
             self.own_in(session, external_id, measurement)
         row = {"asset": external_id, "diagnosis": diagnosis}
@@ -400,22 +414,56 @@ class Assets:
             return rows_of(session, FindingRow, query, damaged)
 
 
-def one_locked(session: Session, query: Select[AssetRow]) -> AssetRow:
-    """Return the asset of a query for one.
+def one_locked(session: Session, external_id: str, *, key_share: bool = False) -> AssetRow:
+    """Return an asset that nobody else changes until the end of a transaction.
+
+    Parameters
+    ----------
+    session : Session
+    external_id : str
+    key_share : bool
+        Whether others may make rows meanwhile that speak of it.
 
     Raises
     ------
     DamagedRowError
         It is damaged.
+    UnknownAssetError
+        It was deleted since somebody has looked.
     """
-    [found] = rows_of(session, AssetRow, query, None)
-    return found
+    query = select(AssetRow).filter_by(external_id=external_id).with_for_update(key_share=key_share)
+    for row in rows_of(session, AssetRow, query, None):
+        return row
+    raise deleted_meanwhile(external_id)
+
+
+def hold(session: Session, external_id: str) -> None:
+    """Let nobody delete an asset until the end of a transaction.
+
+    Raises
+    ------
+    UnknownAssetError
+        It was deleted since somebody has looked.
+    """
+    query = select(AssetRow.number).filter_by(external_id=external_id).with_for_update(read=True, key_share=True)
+    if session.scalar(query) is None:
+        raise deleted_meanwhile(external_id)
+
+
+def deleted_meanwhile(external_id: str) -> UnknownAssetError:
+    """Return the error for an asset that was there just now."""
+    return UnknownAssetError(f"asset {external_id}: was deleted meanwhile", field="asset")
 
 
 def about_asset(row: AssetRow) -> dict[str, Any]:
     """Return what people said of an asset."""
     names = ("machine", "notes", "limits_um", "silent_after_days", "warn_within_days")
     return {**{name: getattr(row, name) for name in names}, "baselines": list(row.in_order)}
+
+
+def about_finding(row: FindingRow) -> dict[str, Any]:
+    """Return what somebody said in a finding."""
+    return {name: getattr(row, name) for name in SAID_OF_FINDING}
 
 
 def wearing_in(machine: Mapping[str, Any]) -> set[str]:

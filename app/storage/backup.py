@@ -11,7 +11,7 @@ import hashlib
 import json
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,16 +21,18 @@ from sqlalchemy import func, select
 from sqlalchemy.engine import URL, make_url
 
 from jointplay.app.errors import BackupError
-from jointplay.app.storage import assets, build_queue, idempotency, keys, remembered, retention, webhooks
+from jointplay.app.storage import assets, belonging, build_queue, idempotency, keys, remembered, retention, webhooks
+from jointplay.app.storage.belonging import BelongingRow
 from jointplay.app.storage.copying import HASHES, Copier, Damage, copy_rows, digest_of, read_hashes
 from jointplay.app.storage.database import REVISION, ServiceDatabase, database_url
+from jointplay.app.storage.recording_files import NAMED
 from jointplay.app.storage.rows import Base, MeasurementRow, now
 from jointplay.app.storage.stored_files import recording_path
 from jointplay.app.storage.tombstones import deleted
 from jointplay.catalogue.storage.directory import CatalogueDirectory, publish
 
 #: All tables are known once the modules that define them are loaded.
-_DEFINING = (assets, build_queue, idempotency, keys, remembered, retention, webhooks)
+_DEFINING = (assets, belonging, build_queue, idempotency, keys, remembered, retention, webhooks)
 TABLES = Base.metadata
 
 FORMAT = 1
@@ -82,7 +84,8 @@ def back_up(place: Place, target: Path, *, catalogues: bool = True, last: Path |
     Returns
     -------
     dict
-        What is in it, and under ``damaged`` what is not, or not as it was.
+        What is in it, under ``damaged`` what is not, or not as it was, and under ``deleted_meanwhile`` the recordings
+        that somebody deleted between the copy of their rows and that of their files.
 
     Raises
     ------
@@ -97,11 +100,13 @@ def back_up(place: Place, target: Path, *, catalogues: bool = True, last: Path |
         read_seal(last)
     target.mkdir(mode=0o700, parents=True, exist_ok=True)
     copier = Copier(target, last)
-    with open_database(place.url) as source, open_database(sqlite(target / ROWS)) as copy:
-        counts = copy_rows(source, copy, copier.damaged)
-        recordings = recordings_in(copy)
-    copier.hashes[ROWS] = digest_of(target / ROWS)
-    found = [copy_recording(copier, place.data, sha256) for sha256 in recordings]
+    with open_database(place.url) as source:
+        with open_database(sqlite(target / ROWS)) as copy:
+            counts = copy_rows(source, copy, copier.damaged)
+            recordings = recordings_in(copy)
+        copier.hashes[ROWS] = digest_of(target / ROWS)
+        found = [copy_recording(copier, place.data, sha256) for sha256 in recordings]
+        gone = forget_deleted(copier.damaged, recordings_in(source))
     machines = copy_machines(copier, place.data)
     copied = [copy_catalogue(copier, path, name) for name, path in find_catalogues(place)] if catalogues else []
     content = {
@@ -113,6 +118,7 @@ def back_up(place: Place, target: Path, *, catalogues: bool = True, last: Path |
         "machines": machines,
         "catalogues": [name for name in copied if name],
         "damaged": [damage.document() for damage in copier.damaged],
+        "deleted_meanwhile": gone,
         "copied_bytes": copier.copied_bytes,
         "linked_bytes": copier.linked_bytes,
         "files": len(copier.hashes),
@@ -151,15 +157,18 @@ def restore(source: Path, place: Place) -> dict[str, Any]:
     place.data.mkdir(parents=True, exist_ok=True)
     copier, shelf = Copier(place.data), Copier(place.catalogues.parent)
     known = {(each["what"], each["name"]) for each in content.get("damaged", ())}
+    known |= {("recording", sha256) for sha256 in content.get("deleted_meanwhile", ())}
+    catalogues = {name: inside(source / "catalogues", name) for name in content["catalogues"]}
     with open_database(place.url) as target, opened_copy(source) as copy:
         if rows_in(target):
             raise BackupError(f"{target.name}: holds data already")
         for sha256 in recordings_in(copy):
             copy_recording(copier, source, sha256)
         copy_machines(copier, source)
-        for name in content["catalogues"]:
-            copy_catalogue(shelf, source / "catalogues" / name, name, place.catalogues.name)
+        for name, folder in catalogues.items():
+            copy_catalogue(shelf, folder, name, place.catalogues.name)
         copy_rows(copy, target, copier.damaged)  # last: rows speak of files
+        belonging.tie(place.data, target, anew=True)  # the copied service and its folder have an id of their own
     found = [damage for damage in (*copier.damaged, *shelf.damaged) if (damage.what, damage.name) not in known]
     return {**content, "damaged": [*content.get("damaged", ()), *(damage.document() for damage in found)]}
 
@@ -187,12 +196,13 @@ def check(source: Path) -> dict[str, Any]:
     if hashlib.sha256((source / HASHES).read_bytes() if hashes else b"").hexdigest() != content.get("files_sha256"):
         found.append(Damage("file", HASHES, "is not what it was" if hashes else "is missing"))
     for name, sha256 in hashes.items():
+        path = inside(source, name)
         try:
-            if digest_of(source / name) != sha256:
+            if digest_of(path) != sha256:
                 found.append(Damage("file", name, "is not what it was"))
         except OSError as error:
             found.append(Damage("file", name, f"cannot be read ({error.strerror})"))
-    known = {each["name"] for each in content.get("damaged", ())}
+    known = {*(each["name"] for each in content.get("damaged", ())), *content.get("deleted_meanwhile", ())}
     if not any(damage.name == ROWS for damage in found):
         with opened_copy(source) as copy, tempfile.TemporaryDirectory() as scratch:
             with open_database(sqlite(Path(scratch) / ROWS)) as again:
@@ -201,7 +211,11 @@ def check(source: Path) -> dict[str, Any]:
                 if counts.get(table) != count:
                     found.append(Damage("row", table, f"{counts.get(table)} rows; there were {count}"))
             for sha256 in recordings_in(copy):
-                if not recording_path(source, sha256).is_file() and sha256 not in known:
+                if sha256 in known:
+                    continue
+                if not NAMED.fullmatch(sha256):
+                    found.append(unnamed(sha256))
+                elif not recording_path(source, sha256).is_file():
                     found.append(Damage("recording", sha256, "is missing"))
     return {**content, "damaged": [*content.get("damaged", ()), *(damage.document() for damage in found)]}
 
@@ -241,9 +255,10 @@ def open_database(url: URL) -> Iterator[ServiceDatabase]:
 
 
 def rows_in(database: ServiceDatabase) -> int:
-    """Return the number of rows in all tables."""
+    """Return the number of rows in all tables; that of its folder, which a service makes first, is none."""
     with database.reading() as session:
-        return sum(session.scalar(select(func.count()).select_from(table)) or 0 for table in TABLES.sorted_tables)
+        tables = [table for table in TABLES.sorted_tables if table.name != BelongingRow.__tablename__]
+        return sum(session.scalar(select(func.count()).select_from(table)) or 0 for table in tables)
 
 
 @contextmanager
@@ -265,7 +280,41 @@ def recordings_in(database: ServiceDatabase) -> list[str]:
 
 def copy_recording(copier: Copier, source: Path, sha256: str) -> bool:
     """Bring a recording from a folder of data, if it is what it was; return whether it is there."""
+    if not NAMED.fullmatch(sha256):
+        copier.damaged.append(unnamed(sha256))
+        return False
     return copier.bring(recording_path(source, sha256), str(recording_path(Path(), sha256)), "recording", sha256)
+
+
+def unnamed(sha256: str) -> Damage:
+    """Return what is said of a row that could name any file."""
+    return Damage("recording", repr(sha256)[:80], "is no SHA-256")
+
+
+def forget_deleted(damaged: list[Damage], left: Collection[str]) -> list[str]:
+    """Take those from what is damaged whose files are missing since nothing speaks of them; returns their names."""
+    there = set(left)
+    gone = [
+        each
+        for each in damaged
+        if each.what == "recording" and each.how.startswith("is missing") and each.name not in there
+    ]
+    damaged[:] = [each for each in damaged if each not in gone]
+    return [each.name for each in gone]
+
+
+def inside(folder: Path, name: str) -> Path:
+    """Return what a backup names in a folder of it.
+
+    Raises
+    ------
+    BackupError
+        It lies elsewhere.
+    """
+    path = (folder / name).resolve()
+    if not path.is_relative_to(folder.resolve()) or path == folder.resolve():
+        raise BackupError(f"{folder}: names {name[:80]!r}, which does not lie in it")
+    return path
 
 
 def copy_machines(copier: Copier, source: Path) -> int:

@@ -13,13 +13,14 @@ from sqlalchemy import Connection, Integer, Table, and_, func, insert, select
 from sqlalchemy.exc import IntegrityError, SQLAlchemyError
 from sqlalchemy.orm import Session
 
+from jointplay.app.errors import DamagedDatabaseError
 from jointplay.app.storage.database import ServiceDatabase
 from jointplay.app.storage.rows import Base
 from jointplay.catalogue.storage.directory import publish
 
 CHUNK = 500
 
-UNREADABLE = (SQLAlchemyError, ValueError)
+UNREADABLE = (SQLAlchemyError, ValueError, DamagedDatabaseError)
 """What is raised of damaged rows: by the database, or by what makes JSON of a text."""
 
 HASHES = "files.sha256"

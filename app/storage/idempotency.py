@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import json
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Collection
 from datetime import datetime, timedelta
 from typing import Annotated, Any
 
@@ -139,16 +139,16 @@ def reserve(database: ServiceDatabase, place: str, fingerprint: str, moment: dat
     return answer
 
 
-def forget(session: Session, place: str) -> None:
+def forget(session: Session, places: Collection[str]) -> None:
     """Free the keys, in a transaction, whose answer names what is there no longer.
 
     Parameters
     ----------
     session : Session
-    place : str
-        The ``Location`` of the answer.
+    places : collection of str
+        The ``Location`` of each answer.
     """
-    session.execute(delete(IdempotencyRow).where(IdempotencyRow.headers["location"].as_string() == place))
+    session.execute(delete(IdempotencyRow).where(IdempotencyRow.headers["location"].as_string().in_(places)))
 
 
 def settle(database: ServiceDatabase, place: str, moment: datetime, answer: Response | None) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
@@ -14,7 +14,7 @@ from jointplay.app.storage.removal import GOING, Removal, tidy_folders
 from jointplay.app.storage.retention import RetentionRow, class_in, recordings
 from jointplay.app.storage.rows import MeasurementRow, now
 from jointplay.app.storage.store import Store
-from jointplay.app.storage.stored_files import ABANDONED_S, SIGNALS
+from jointplay.app.storage.stored_files import ABANDONED_S, SIGNALS, parts
 from jointplay.app.storage.tombstones import deleted
 from jointplay.app.storage.webhooks import DeliveryRow
 
@@ -26,7 +26,8 @@ BATCH = 200
 
 #: What goes besides recordings whose time is over, and why.
 PARTIALS = ("uploads that broke off", f"nobody has sent more of them for {ABANDONED_S / 3600:g} hours")
-ORPHANS = ("files of no recording", "a server ended before or after their row")
+ORPHANS = ("files of no recording", "a server ended before or after their row; kept in orphans/ for 30 days")
+OLD_ORPHANS = ("files in orphans/", "no row has spoken of them for 30 days")
 TOLD = ("deliveries of webhooks", f"made, or given up, more than {TOLD_DAYS:g} days ago")
 REMAINS = ("catalogues", "a server ended while it deleted them")
 
@@ -70,13 +71,15 @@ class Pruner:
         """Return what would go; nothing is changed."""
         found = []
         for of, days in self._keep.items():
-            rows = self._expired(of, days, None)
+            rows = self._expired(of, days)
             found.append(Going(*self._said(of, days), tuple(key for key, _ in rows), sum(size for _, size in rows)))
-        partials, orphans = self._partials(), list(self._store.files.orphans())
+        apart = self._store.files.why_apart()
+        partials, orphans = self._partials(), [] if apart else list(self._store.files.orphans())
+        old = [] if apart else self._store.files.old_orphans()
         found.append(
             Going(*PARTIALS, tuple(path.name for path, _ in partials), sum(size for _, size in partials)),
         )
-        found.append(Going(*ORPHANS, tuple(sha256 for sha256, _ in orphans), sum(size for _, size in orphans)))
+        found += [of_files(ORPHANS, orphans), of_files(OLD_ORPHANS, old)]
         with self._store.database.reading() as session:
             told = select(DeliveryRow.id, func.length(DeliveryRow.body)).where(*self._told())
             rows = [(str(key), int(size)) for key, size in session.execute(told)]
@@ -85,31 +88,66 @@ class Pruner:
         found.append(Going(*REMAINS, left, 0))
         return [each for each in found if each.ids]
 
+    def why_apart(self) -> str:
+        """Return why files of no recording stay; empty where they go."""
+        return self._store.files.why_apart()
+
     def prune(self) -> Iterator[Going]:
-        """Delete all of it, and give what has gone, a transaction at a time: whoever iterates may stop in between."""
+        """Delete all of it, and give what has gone, a transaction at a time: whoever iterates may stop in between.
+
+        What one kind of it fails of keeps no other kind from going.
+
+        Raises
+        ------
+        Exception
+            At the end, the first of what failed, with notes of the others.
+        """
+        failed: list[Exception] = []
+        kinds = (self._prune_expired, self._prune_partials, self._prune_orphans, self._prune_told, self._prune_remains)
+        for kind in kinds:
+            try:
+                yield from kind()
+            except Exception as error:
+                failed.append(error)
+        if failed:
+            first, *others = failed
+            for each in others:
+                first.add_note(f"besides: {type(each).__name__}: {each}")
+            raise first
+
+    def _prune_expired(self) -> Iterator[Going]:
         removal = Removal(self._store)
         for of, days in self._keep.items():
             what, why = self._said(of, days)
-            while rows := self._expired(of, days, BATCH):
-                gone = removal.delete_measurements([key for key, _ in rows], why)
-                if not gone:  # somebody else was faster, or they are needed since just now
-                    break
-                yield Going(what, why, tuple(gone), sum(gone.values()))
+            for rows in parts(self._expired(of, days), BATCH):
+                # Those stay for now that somebody needs since just now, and damaged ones.
+                if gone := removal.delete_measurements([key for key, _ in rows], why):
+                    yield Going(what, why, tuple(gone), sum(gone.values()))
+
+    def _prune_partials(self) -> Iterator[Going]:
         for path, size in self._partials():
             path.unlink(missing_ok=True)
             yield Going(*PARTIALS, (path.name,), size)
-        orphans: list[tuple[str, int]] = []
-        for each in self._store.files.orphans():
-            orphans.append(each)
-            if len(orphans) == BATCH:
-                yield self._drop(orphans)
-                orphans = []
-        if orphans:
-            yield self._drop(orphans)
+
+    def _prune_orphans(self) -> Iterator[Going]:
+        files = self._store.files
+        if files.why_apart(settle=True):
+            return
+        files.bring_back()
+        for orphans in parts(files.orphans(), BATCH):
+            files.put_aside([sha256 for sha256, _ in orphans])
+            yield of_files(ORPHANS, orphans)
+        if old := files.old_orphans():
+            files.drop_orphans([sha256 for sha256, _ in old])
+            yield of_files(OLD_ORPHANS, old)
+
+    def _prune_told(self) -> Iterator[Going]:
         with self._store.database.writing() as session:
             told = list(session.scalars(delete(DeliveryRow).where(*self._told()).returning(DeliveryRow.id)))
         if told:
             yield Going(*TOLD, tuple(told), 0)
+
+    def _prune_remains(self) -> Iterator[Going]:
         if left := tidy_folders(self._catalogues):
             yield Going(*REMAINS, (GOING,) * left, 0)
         self._drop_samples()
@@ -117,7 +155,7 @@ class Pruner:
     def _said(self, of: str, days: float) -> tuple[str, str]:
         return f"{of} recordings", f"kept for {days:g} days"
 
-    def _expired(self, of: str, days: float, most: int | None) -> Sequence[tuple[str, int]]:
+    def _expired(self, of: str, days: float) -> Sequence[tuple[str, int]]:
         """Ids and sizes of recordings of a class whose time is over; not those on hold, and no baseline in use."""
         first = select(AssetRow.baseline).where(AssetRow.baseline.is_not(None))
         with self._store.database.reading() as session:
@@ -128,15 +166,11 @@ class Pruner:
                 MeasurementRow.id.not_in(first),
                 MeasurementRow.id.not_in(select(AssetBaselineRow.measurement)),
             )
-            found = session.execute(query.order_by(MeasurementRow.number).limit(most))
+            found = session.execute(query.order_by(MeasurementRow.number))
             return [(str(key), int(size)) for key, size in found]
 
     def _partials(self) -> list[tuple[Path, int]]:
         return [(path, size) for path, size, age in self._store.files.partials() if age > ABANDONED_S]
-
-    def _drop(self, orphans: Sequence[tuple[str, int]]) -> Going:
-        self._store.files.drop([sha256 for sha256, _ in orphans])
-        return Going(*ORPHANS, tuple(sha256 for sha256, _ in orphans), sum(size for _, size in orphans))
 
     def _told(self) -> tuple[ColumnElement[bool], ...]:
         return DeliveryRow.state != "waiting", DeliveryRow.created_at < now() - timedelta(days=TOLD_DAYS)
@@ -148,3 +182,9 @@ class Pruner:
         with self._store.database.reading() as session:
             for key in known & set(session.scalars(deleted("measurement"))):
                 self._store.files.drop_samples(key)
+
+
+def of_files(kind: tuple[str, str], found: Iterable[tuple[str, int]]) -> Going:
+    """Return files, with their sizes, as what goes."""
+    found = list(found)
+    return Going(*kind, tuple(sha256 for sha256, _ in found), sum(size for _, size in found))

@@ -7,16 +7,19 @@ files without a row, which are tidied later, never a row without its file.
 
 from __future__ import annotations
 
+import logging
 import shutil
 import time
 from collections.abc import Collection, Iterable
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
-from sqlalchemy import delete, or_, select
+from sqlalchemy import delete, or_, select, update
 from sqlalchemy.orm import Session
 
 from jointplay.app.actor import actor
-from jointplay.app.errors import BuildOpenError, InUseError
+from jointplay.app.errors import BuildOpenError, DamagedRowError, InUseError
 from jointplay.app.storage import audit, idempotency
 from jointplay.app.storage.assets import (
     AssetBaselineRow,
@@ -25,18 +28,22 @@ from jointplay.app.storage.assets import (
     AssetRow,
     Assets,
     FindingRow,
+    about_asset,
+    about_finding,
+    deleted_meanwhile,
     measurements_of,
     touch,
-    touch_owners,
 )
-from jointplay.app.storage.build_queue import ENDED, BuildQueue, BuildRow
+from jointplay.app.storage.build_queue import ENDED, BuildDeathsRow, BuildQueue, BuildRow, about_build
 from jointplay.app.storage.machine_store import MachineStore
 from jointplay.app.storage.remembered import RememberedRow
-from jointplay.app.storage.retention import kept_of, refuse_held
-from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
-from jointplay.app.storage.store import Store
-from jointplay.app.storage.tombstones import Kind, TombstoneRow, bury, deleted
+from jointplay.app.storage.retention import hold_rows, kept_of, refuse_held
+from jointplay.app.storage.rows import Damaged, DiagnosisRow, MeasurementRow, rows_of
+from jointplay.app.storage.store import Store, about_diagnosis
+from jointplay.app.storage.tombstones import Kind, TombstoneRow, bury, deleted, refuse_deleted
 from jointplay.catalogue.storage.directory import CatalogueDirectory
+
+log = logging.getLogger(__name__)
 
 GOING = ".deleted-"
 """Beginning of the name of a folder that is being deleted."""
@@ -64,25 +71,30 @@ class Removal:
         InUseError
             When it is on hold, a baseline of an asset, or evidence.
         """
-        found = self._store.measurement(key)
+        with suppress(DamagedRowError):  # which may go all the same
+            self._store.measurement(key)
         with self._database.writing() as session:
+            hold_rows(session, [key])
+            sha256 = session.scalars(select(MeasurementRow.sha256).where(MeasurementRow.id == key)).one()
+            refuse_deleted(session, "measurement", [key])
             refuse_held(session, [key])
             refuse_baseline(session, key)
             if kept_of(session, key).of == "evidence":
                 raise InUseError(f"measurement {key}: is evidence{evidence_of(session, key)}", field="measurement")
-            self._bury_measurements(session, {key: found.sha256}, why)
-        self._drop({key: found.sha256})
+            self._bury_measurements(session, {key: sha256}, why)
+        self._drop({key: sha256})
 
     def delete_measurements(self, keys: Collection[str], why: str) -> dict[str, int]:
         """Delete recordings whose time is over, whatever they were; returns the sizes of those that went.
 
         Those stay that are on hold or baselines of an asset by now.
         """
+        damaged: list[Damaged] = []
         with self._database.writing() as session:
+            hold_rows(session, keys)
             query = select(MeasurementRow).where(MeasurementRow.id.in_(list(keys)))
-            found = {
-                row.id: row for row in session.scalars(query.where(MeasurementRow.id.not_in(deleted("measurement"))))
-            }
+            query = query.where(MeasurementRow.id.not_in(deleted("measurement")))
+            found = {row.id: row for row in rows_of(session, MeasurementRow, query, damaged)}
             for key in list(found):
                 try:
                     refuse_held(session, [key])
@@ -94,12 +106,17 @@ class Removal:
             )
             self._bury_measurements(session, checksums, why)
         self._drop(checksums)
+        for each in damaged:
+            log.warning("not tidied up: %s", each.problem)
         return sizes
 
     def _bury_measurements(self, session: Session, checksums: dict[str, str], why: str) -> None:
         for key, sha256 in checksums.items():
-            self._bury(session, "measurement", key, why, sha256, f"/api/v1/measurements/{key}")
-            touch_owners(session, key)
+            self._bury(session, "measurement", key, why, {"sha256": sha256}, sha256)
+        idempotency.forget(session, [f"/api/v1/measurements/{key}" for key in checksums])
+        # All at once, so that assets are held in one order: others touch the same.
+        owners = select(AssetMeasurementRow.asset).where(AssetMeasurementRow.measurement.in_(list(checksums)))
+        touch(session, AssetRow.external_id.in_(owners))
         empty_unspoken(session, checksums)
 
     def _drop(self, checksums: dict[str, str]) -> None:
@@ -131,7 +148,8 @@ class Removal:
             session.execute(delete(DiagnosisRow).where(DiagnosisRow.id == key))
             gone = deleted("measurement").where(TombstoneRow.id.in_(row.measurements))
             empty_unspoken(session, list(session.scalars(gone)))
-            self._bury(session, "diagnosis", key, why, "", f"/api/v1/diagnoses/{key}")
+            self._bury(session, "diagnosis", key, why, about_diagnosis(row))
+            idempotency.forget(session, [f"/api/v1/diagnoses/{key}"])
 
     def delete_finding(self, key: str, why: str) -> None:
         """Delete what an inspection found.
@@ -150,7 +168,8 @@ class Removal:
             of = select(AssetRow.machine).where(AssetRow.external_id == found.asset)
             touch(session, AssetRow.machine == of.scalar_subquery())
             session.execute(delete(FindingRow).where(FindingRow.id == key))
-            self._bury(session, "finding", key, why, "", f"/api/v1/findings/{key}")
+            self._bury(session, "finding", key, why, about_finding(found))
+            idempotency.forget(session, [f"/api/v1/findings/{key}"])
 
     def delete_asset(self, external_id: str, why: str) -> None:
         """Delete an asset; its recordings and what was answered of them stay, and are nobody's.
@@ -162,13 +181,20 @@ class Removal:
         InUseError
             When one of its recordings is on hold.
         """
-        Assets(self._database).asset(external_id)
+        before = None
+        with suppress(DamagedRowError):  # which may go all the same
+            before = about_asset(Assets(self._database).asset(external_id))
         with self._database.writing() as session:
+            # First: whoever is noting something of it has done so, or will find that it is gone.
+            query = select(AssetRow.number).where(AssetRow.external_id == external_id).with_for_update()
+            if session.scalar(query) is None:
+                raise deleted_meanwhile(external_id)
             refuse_held(session, session.scalars(measurements_of(external_id)))
             for table in (AssetMeasurementRow, AssetDiagnosisRow, AssetBaselineRow, RememberedRow):
                 session.execute(delete(table).where(table.asset == external_id))
             session.execute(delete(AssetRow).where(AssetRow.external_id == external_id))
-            self._bury(session, "asset", external_id, why, "", f"/api/v1/assets/{external_id}")
+            self._bury(session, "asset", external_id, why, before)
+            idempotency.forget(session, [f"/api/v1/assets/{external_id}"])
 
     def delete_build(self, key: str, why: str) -> None:
         """Delete what is known of a build that has ended; its catalogue stays.
@@ -182,10 +208,13 @@ class Removal:
         """
         BuildQueue(self._database).find(key)
         with self._database.writing() as session:
-            gone = delete(BuildRow).where(BuildRow.id == key, BuildRow.state.in_(ENDED))
-            if session.scalar(gone.returning(BuildRow.id)) is None:
+            query = select(BuildRow).where(BuildRow.id == key, BuildRow.state.in_(ENDED)).with_for_update()
+            if (row := session.scalar(query)) is None:
                 raise BuildOpenError(f"build {key}: has not ended: cancel it first")
-            self._bury(session, "build", key, why, "", f"/api/v1/builds/{key}")
+            session.execute(delete(BuildDeathsRow).where(BuildDeathsRow.build == key))
+            session.execute(delete(BuildRow).where(BuildRow.id == key))
+            self._bury(session, "build", key, why, about_build(row))
+            idempotency.forget(session, [f"/api/v1/builds/{key}"])
 
     def delete_machine(self, machines: MachineStore, name: str, why: str) -> None:
         """Delete a machine that was put here, with its versions; catalogues and diagnoses have theirs with them.
@@ -200,7 +229,8 @@ class Removal:
         machines.check_own(name)
         with self._database.writing() as session:
             # First: until the file is gone as well, the machine is there and nobody looks for its tombstone.
-            self._bury(session, "machine", name, why, "", f"/api/v1/machines/{name}")
+            self._bury(session, "machine", name, why, None)
+            idempotency.forget(session, [f"/api/v1/machines/{name}"])
         machines.remove(name)
 
     def delete_catalogue(self, folder: Path, identity: str, why: str, *, last: bool = True) -> None:
@@ -235,16 +265,20 @@ class Removal:
             if build is not None:
                 rule = f"build {build} has not ended: cancel it first"
                 raise InUseError(f"catalogue {name}: {rule}", field="catalogue")
-            used = select(DiagnosisRow).where(DiagnosisRow.catalogue == identity)
-            refuse_held(session, {key for row in session.scalars(used) for key in row.measurements})
-            for each in (name, *([identity] if identity else [])):
-                self._bury(session, "catalogue", each, why, "", f"/api/v1/catalogues/{each}")
+            columns = (DiagnosisRow.measurement, DiagnosisRow.request["measurements"])
+            used = session.execute(select(*columns).where(DiagnosisRow.catalogue == identity))
+            refuse_held(session, {key for first, several in used for key in several or [first]})
+            names = (name, *([identity] if identity else []))
+            for each in names:
+                self._bury(session, "catalogue", each, why, None)
+            idempotency.forget(session, [f"/api/v1/catalogues/{each}" for each in names])
 
-    def _bury(self, session: Session, kind: Kind, key: str, why: str, sha256: str, place: str) -> None:
-        """Note in a transaction that something is deleted; no answer that is kept says that it is there."""
+    def _bury(
+        self, session: Session, kind: Kind, key: str, why: str, before: dict[str, Any] | None, sha256: str = ""
+    ) -> None:
+        """Note in a transaction that something is deleted, and what it was."""
         bury(session, kind, key, actor().name, why, sha256)
-        idempotency.forget(session, place)
-        audit.note(session, "deleted", kind, key, {"sha256": sha256} if sha256 else None, {"why": why})
+        audit.note(session, "deleted", kind, key, before, {"why": why})
 
 
 def baseline_of(session: Session, key: str) -> str | None:
@@ -269,8 +303,9 @@ def refuse_baseline(session: Session, key: str) -> None:
 
 def evidence_of(session: Session, key: str) -> str:
     """Return why a recording is evidence, and what to do about that."""
-    answers = select(DiagnosisRow).join(FindingRow, FindingRow.diagnosis == DiagnosisRow.id)
-    found = [row.id for row in session.scalars(answers) if key in row.measurements]
+    columns = (DiagnosisRow.id, DiagnosisRow.measurement, DiagnosisRow.request["measurements"])
+    answers = session.execute(select(*columns).join(FindingRow, FindingRow.diagnosis == DiagnosisRow.id))
+    found = [of for of, first, several in answers if key in (several or [first])]
     cure = f"say that it is routine first, with PUT /measurements/{key}/retention"
     return f" (a finding speaks of diagnosis {found[0]}): {cure}" if found else f": {cure}"
 
@@ -284,8 +319,16 @@ def empty_unspoken(session: Session, keys: Iterable[str]) -> None:
     several = DiagnosisRow.request["measurements"]
     for found in session.scalars(select(several).where(several.as_string().is_not(None))):
         spoken.update(found or ())
-    for row in session.scalars(select(MeasurementRow).where(MeasurementRow.id.in_(asked - spoken))):
-        row.name, row.said, row.summary = "", {}, {"channels": [], "warnings": []}
+    query = select(MeasurementRow).where(MeasurementRow.id.in_(asked - spoken))
+    damaged: list[Damaged] = []
+    rows_of(session, MeasurementRow, query, damaged)
+    numbers = [each.number for each in damaged]
+    emptied: dict[str, Any] = {"name": "", "said": {}, "summary": {"channels": [], "warnings": []}}
+    for row in session.scalars(query.where(MeasurementRow.number.not_in(numbers))):
+        for name, value in emptied.items():
+            setattr(row, name, value)
+    # Of those the same goes, but they stay as damaged as they were.
+    session.execute(update(MeasurementRow).where(MeasurementRow.number.in_(numbers)).values(emptied))
 
 
 def tidy_folders(catalogues: Path) -> int:

@@ -5,6 +5,7 @@ What a recording is follows from what speaks of it; a row here says otherwise, o
 
 from __future__ import annotations
 
+import json
 import threading
 import time
 from collections.abc import Iterable
@@ -12,7 +13,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any, Literal, get_args
 
-from sqlalchemy import ColumnElement, Select, String, Text, case, func, or_, select
+from sqlalchemy import JSON, ColumnElement, Select, String, Text, case, cast, func, literal, or_, select
 from sqlalchemy.orm import Mapped, Session, mapped_column
 
 from jointplay.app.actor import actor
@@ -21,7 +22,7 @@ from jointplay.app.storage import audit
 from jointplay.app.storage.assets import AssetBaselineRow, AssetRow, FindingRow
 from jointplay.app.storage.database import ServiceDatabase
 from jointplay.app.storage.rows import Base, DiagnosisRow, MeasurementRow, now
-from jointplay.app.storage.tombstones import deleted
+from jointplay.app.storage.tombstones import deleted, refuse_deleted
 
 Class = Literal["routine", "baseline", "evidence"]
 CLASSES: tuple[Class, ...] = get_args(Class)
@@ -72,10 +73,16 @@ def class_in(session: Session) -> ColumnElement[str]:
     """Return the class of a row of measurements, beside which that of its retention is joined."""
     answers = select(DiagnosisRow.measurement).join(FindingRow, FindingRow.diagnosis == DiagnosisRow.id)
     together = select(DiagnosisRow.request["measurements"]).join(FindingRow, FindingRow.diagnosis == DiagnosisRow.id)
-    several = {key for found in session.scalars(together) if found for key in found}
+    several = sorted({key for found in session.scalars(together) if found for key in found})
+    # In one value, as JSON: SQLite takes no more than 32766 in a statement.
+    listed = literal(json.dumps(several), String)
+    if session.get_bind().dialect.name == "sqlite":
+        keys = func.json_each(listed).table_valued("value")
+    else:
+        keys = func.json_array_elements_text(cast(listed, JSON)).table_valued("value")
     first = select(AssetRow.baseline).where(AssetRow.baseline.is_not(None))
     baseline = or_(MeasurementRow.id.in_(first), MeasurementRow.id.in_(select(AssetBaselineRow.measurement)))
-    evidence = or_(MeasurementRow.id.in_(answers), MeasurementRow.id.in_(sorted(several)))
+    evidence = or_(MeasurementRow.id.in_(answers), MeasurementRow.id.in_(select(keys.c.value)))
     said = RetentionRow.said
     return case((said.is_not(None), said), (baseline, "baseline"), (evidence, "evidence"), else_="routine")
 
@@ -95,17 +102,30 @@ def kept_of(session: Session, key: str) -> Kept:
 
 
 def say(database: ServiceDatabase, key: str, of: Class | None, hold: str | None) -> Kept:
-    """Note of what class a recording is said to be, and why nobody may delete it; None takes either back."""
+    """Note of what class a recording is said to be, and why nobody may delete it; None takes either back.
+
+    Raises
+    ------
+    DeletedError
+        When it was deleted since somebody has looked.
+    """
     with database.writing() as session:
-        row = session.get(RetentionRow, key, with_for_update=True)
-        if row is None:
-            row = RetentionRow(measurement=key)
-            session.add(row)
+        hold_rows(session, [key])
+        refuse_deleted(session, "measurement", [key])
+        first = {"measurement": key, "changed_by": ""}
+        session.execute(database.insert(RetentionRow).values(first).on_conflict_do_nothing())
+        row = session.get_one(RetentionRow, key, with_for_update=True)
         before = {"class": row.said, "hold": row.hold}
         row.said, row.hold, row.changed_by, row.changed_at = of, hold, actor().name, now()
         session.flush()
         audit.note(session, "retained", "measurement", key, before, {"class": of, "hold": hold})
         return kept_of(session, key)
+
+
+def hold_rows(session: Session, keys: Iterable[str]) -> None:
+    """Let nobody else delete recordings, nor say how they are kept, until the end of a transaction."""
+    query = select(MeasurementRow.number).where(MeasurementRow.id.in_(list(keys))).order_by(MeasurementRow.number)
+    session.execute(query.with_for_update(key_share=True)).all()
 
 
 def refuse_held(session: Session, keys: Iterable[str]) -> None:

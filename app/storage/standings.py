@@ -189,8 +189,7 @@ class Standings:
 
 def locked(session: Session, external_id: str) -> AssetRow:
     """Return an asset that nobody else changes until the end of a transaction."""
-    query = select(AssetRow).where(AssetRow.external_id == external_id).with_for_update(key_share=True)
-    return one_locked(session, query)
+    return one_locked(session, external_id, key_share=True)
 
 
 def acknowledged_of(row: AssetRow) -> tuple[Reason, ...]:

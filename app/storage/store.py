@@ -130,6 +130,7 @@ class Store:
         file = URL.create("sqlite", database=str(directory / "service.sqlite"))
         self.database = ServiceDatabase(database_url(url) if url else file, Base.metadata)
         self.files = StoredFiles(directory, self.database)
+        self.files.settle()
         audit.attend(self.database)
         self._session = self.database.session
 
@@ -358,9 +359,7 @@ class Store:
         refuse_deleted(session, "measurement", diagnosis.request.get("measurements") or [diagnosis.measurement])
         kept, new = self._put(session, DiagnosisRow, DiagnosisRow.seal(diagnosis.row()))
         if new:
-            told = {"measurements": list(kept.measurements), "catalogue": kept.catalogue, **kept.request}
-            told |= {name: kept.result[name] for name in ("verdict", "candidate_set", "hash") if name in kept.result}
-            audit.note(session, "made", "diagnosis", kept.id, after=told)
+            audit.note(session, "made", "diagnosis", kept.id, after=about_diagnosis(kept))
             if diagnosis.also is not None:
                 diagnosis.also(session, kept.id)
         return kept
@@ -440,6 +439,12 @@ def about_measurement(row: MeasurementRow) -> dict[str, Any]:
     """Return what the audit log says of a measurement."""
     names = ("sha256", "name", "size_bytes", "said", "measured_at", "measured_at_source")
     return {name: getattr(row, name) for name in names}
+
+
+def about_diagnosis(row: DiagnosisRow) -> dict[str, Any]:
+    """Return what the audit log says of a diagnosis."""
+    told = {"measurements": list(row.measurements), "catalogue": row.catalogue, **row.request}
+    return told | {name: row.result[name] for name in ("verdict", "candidate_set", "hash") if name in row.result}
 
 
 def measurement_key(sha256: str, name: str, told: Told) -> str:

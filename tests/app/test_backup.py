@@ -22,10 +22,11 @@ from command_line import assert_refused, invoke
 from small_service import serving
 from sqlalchemy import text
 
-from jointplay.app.errors import DeletedError
+from jointplay.app.errors import BackupError, DeletedError, RecordingDamagedError
 from jointplay.app.etags import Conditions
 from jointplay.app.routes.machines import MACHINE_FILE
 from jointplay.app.settings import ServiceSettings
+from jointplay.app.storage import backup
 from jointplay.app.storage.backup import Place, back_up, check, restore
 from jointplay.app.storage.copying import digest_of
 from jointplay.app.storage.machine_store import MachineStore
@@ -205,6 +206,9 @@ def test_a_second_backup_copies_what_is_new(kept: Kept) -> None:
     with closing(Store(place.data)) as store:
         assert [row.id for row in store.measurements(None, 9)] == [row.id for row in reversed(kept.rows)]
         assert all(store.path_of(row.sha256).stat().st_size == 1_000_000 for row in kept.rows)
+        assert store.files.why_apart() == ""
+    ids = [(folder / "database.id").read_text() for folder in (kept.place.data, place.data)]
+    assert len(set(ids)) == 2  # the copy is of its own
 
 
 @pytest.mark.parametrize("how", ["is not what it was", "is missing"])
@@ -249,7 +253,7 @@ def test_rows_that_cannot_be_read_are_left_out(kept: Kept) -> None:
             connection.execute(spoil, {"half": chr(34), "id": kept.rows[1].id})
     copied = kept.copy("copy")
     assert [(each["what"], each["name"], each["how"]) for each in copied["damaged"]] == [
-        ("row", "measurements 2", "cannot be read (JSONDecodeError)"),
+        ("row", "measurements 2", "cannot be read (DamagedDatabaseError)"),
         ("row", "diagnoses 1", "speaks of what is lost"),
     ]
     assert (copied["rows"]["measurements"], copied["rows"]["diagnoses"], copied["recordings"]) == (2, 0, 2)
@@ -293,3 +297,59 @@ def test_what_was_deleted_is_in_no_backup_and_stays_deleted(kept: Kept) -> None:
     assert said["damaged"] == []
     with closing(Store(place.data)) as store, pytest.raises(DeletedError, match="left"):
         store.measurement(kept.rows[0].id)
+
+
+@pytest.mark.parametrize("last", ["", "before"])
+def test_what_is_deleted_while_it_is_copied_is_no_damage(
+    kept: Kept, monkeypatch: pytest.MonkeyPatch, last: str
+) -> None:
+    if last:
+        kept.copy(last)
+    gone = kept.rows[0].sha256
+    rows_first = backup.copy_rows
+
+    def meanwhile(*arguments: Any) -> dict[str, int]:
+        counts = rows_first(*arguments)
+        with closing(Store(kept.place.data)) as store:
+            Removal(store).delete_measurement(kept.rows[0].id, "left")
+            store.path_of(kept.rows[1].sha256).unlink()  # which is damage
+        return counts
+
+    with monkeypatch.context() as copying:
+        copying.setattr(backup, "copy_rows", meanwhile)
+        content = kept.copy("copy", last)
+    assert content["deleted_meanwhile"] == [gone]
+    damaged = content["damaged"]
+    assert [each["name"] for each in damaged] == [kept.rows[1].sha256]
+    assert check(kept.folder / "copy")["damaged"] == damaged
+    said, _ = kept.brought("copy")
+    assert said["damaged"] == damaged
+
+
+def test_a_backup_names_nothing_outside_of_it(kept: Kept) -> None:
+    kept.copy("copy")
+    folder = kept.folder / "copy"
+    sealed = json.loads((folder / "backup.json").read_text())
+    for name in ("../../shelf", str(kept.folder), "."):
+        (folder / "backup.json").write_text(json.dumps({**sealed, "catalogues": [name]}))
+        with pytest.raises(BackupError, match="which does not lie in it"):
+            kept.brought("copy")
+    assert not (kept.folder / "new" / "service.sqlite").exists()
+    (folder / "backup.json").write_text(json.dumps(sealed))
+    hashes = (folder / "files.sha256").read_text()
+    (folder / "files.sha256").write_text(f"{hashes}{'0' * 64}  ../data/service.sqlite\n")
+    with pytest.raises(BackupError, match=r"names '\.\./data/service\.sqlite', which does not lie in it"):
+        check(folder)
+    (folder / "files.sha256").write_text(hashes)
+    with closing(sqlite3.connect(folder / "service.sqlite")) as rows, rows:
+        rows.execute("UPDATE measurements SET sha256 = '../../secret' WHERE number = 1")
+    (folder / "secret").write_text("secret")
+    expected = {"what": "recording", "name": "'../../secret'", "how": "is no SHA-256"}
+    said, place = kept.brought("copy")
+    assert said["damaged"] == [expected]
+    lines = [line for line in hashes.splitlines() if not line.endswith("service.sqlite")]
+    mended = "\n".join([*lines, f"{digest_of(folder / 'service.sqlite')}  service.sqlite", ""])
+    (folder / "files.sha256").write_text(mended)
+    assert expected in check(folder)["damaged"]
+    with closing(Store(place.data)) as store, pytest.raises(RecordingDamagedError, match="is no SHA-256"):
+        store.path_of("../../secret")

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import asyncio
 import io
 import os
+import re
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
-from datetime import timedelta
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
 import pytest
 from answers import diagnosis
-from sqlalchemy import select, update
+from sqlalchemy import event, select, update
 from sqlalchemy.orm import Session
 
+from jointplay import app
 from jointplay.app.actor import Actor, acting
 from jointplay.app.errors import (
     BuildOpenError,
@@ -24,23 +28,30 @@ from jointplay.app.errors import (
     InUseError,
     QuotaError,
     ShippedMachineError,
+    UnknownAssetError,
     UnknownMeasurementError,
 )
 from jointplay.app.etags import Conditions
+from jointplay.app.jobs.housekeeper import Housekeeper
+from jointplay.app.jobs.standing_keeper import StandingKeeper
+from jointplay.app.jobs.workers import WorkerPool
 from jointplay.app.schemas.assets import AssetIn, FindingIn
 from jointplay.app.storage import retention
 from jointplay.app.storage.assets import Assets
 from jointplay.app.storage.audit import AuditLog
-from jointplay.app.storage.build_queue import BuildQueue
+from jointplay.app.storage.build_queue import BuildDeathsRow, BuildQueue
+from jointplay.app.storage.idempotency import IdempotencyRow
 from jointplay.app.storage.machine_store import MachineStore
 from jointplay.app.storage.pruning import Pruner
 from jointplay.app.storage.removal import GOING, Removal
 from jointplay.app.storage.retention import Quotas, kept_of
-from jointplay.app.storage.rows import MeasurementRow, now
+from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow, now
+from jointplay.app.storage.standings import Due, Standings
 from jointplay.app.storage.store import NewDiagnosis, Store
-from jointplay.app.storage.stored_files import ABANDONED_S, PARTIAL, StoredFiles
+from jointplay.app.storage.stored_files import ABANDONED_S, ORPHANS_S, PARTIAL, StoredFiles
 from jointplay.app.storage.usage import days_to_fill, measure
 from jointplay.app.storage.webhooks import DeliveryRow, Webhooks, announce
+from jointplay.catalogue.following.standing import Known
 
 SUMMARY = {"kind": "recording", "channels": [{"name": "s1-x", "unit": "g"}], "warnings": [], "import_report": []}
 MACHINE = {"name": "press", "joints": {"A": {"kind": "turning"}}}
@@ -218,12 +229,52 @@ def test_an_asset_leaves_its_recordings(store: Store) -> None:
     assert assets.asset("press-7").in_order == ()
 
 
+def test_an_asset_that_is_deleted_while_something_works_for_it(store: Store) -> None:
+    assets, standings, row = Assets(store.database), Standings(store.database), stored(store)
+    key = diagnosed(store, row)
+    assets.put("press-7", AssetIn(machine="press"))
+    due = standings.take(now())
+    assert due is not None
+    standings.postpone(due, now())
+
+    class Meanwhile:
+        """Takes what is due, whose asset is deleted then."""
+
+        def take(self, moment: datetime) -> Due | None:
+            taken = standings.take(moment)
+            Removal(store).delete_asset("press-7", "sold")
+            return taken
+
+        def __getattr__(self, name: str) -> Any:
+            return getattr(standings, name)
+
+    keeper: Any = StandingKeeper(store, WorkerPool.__new__(WorkerPool))
+    keeper._standings = Meanwhile()
+    assert asyncio.run(keeper.step())
+    gone = r"^asset press-7: was deleted meanwhile$"
+    with pytest.raises(UnknownAssetError, match=gone):
+        standings.settle(due, Known(), now())
+    with pytest.raises(UnknownAssetError, match=gone):
+        assets.own("press-7", row.id)
+    with pytest.raises(UnknownAssetError, match=gone), store.database.writing() as session:
+        assets.note(session, "press-7", [], key)
+    upload = store.receive(io.BytesIO(b"late"))
+    with pytest.raises(UnknownAssetError, match=gone):
+        store.add_measurement(
+            upload, "late.csv", None, SUMMARY, lambda session, made: assets.own_in(session, "press-7", made)
+        )
+    store.settle(upload)
+    assert files(store) == {row.sha256}
+
+
 def test_builds_that_ended_and_own_machines_may_go(store: Store) -> None:
     queue, removal = BuildQueue(store.database), Removal(store)
     row = queue.add({"name": "m"}, {"name": "p"}, "h" * 64, "made", None)
     with pytest.raises(BuildOpenError, match="has not ended: cancel it first"):
         removal.delete_build(row.id, "")
     queue.cancel(row.id)
+    with store.database.writing() as session:  # it had died once
+        session.add(BuildDeathsRow(build=row.id, in_a_row=1, most_done=0))
     removal.delete_build(row.id, "")
     with pytest.raises(DeletedError, match=f"build {row.id}"):
         queue.find(row.id)
@@ -290,6 +341,115 @@ def test_recordings_go_when_their_time_is_over(store: Store) -> None:
     assert gone.ids == (evidence.id,)
 
 
+def test_a_damaged_row_keeps_no_other_from_going_and_goes_when_it_is_told(
+    store: Store, caplog: pytest.LogCaptureFixture
+) -> None:
+    rows = [stored(store, CONTENT + bytes([65 + k])) for k in range(3)]
+    key = diagnosed(store, rows[2])
+    found(store, key)
+    aged(store, *rows)
+    with store.database.writing() as session:
+        damage = update(MeasurementRow).where(MeasurementRow.id == rows[0].id).values(name="other.csv")
+        session.execute(damage)
+        session.execute(update(DiagnosisRow).values(catalogue="other"))
+    (gone,) = pruner(store, routine=90.0).prune()
+    assert gone.ids == (rows[1].id,)
+    assert f"not tidied up: measurement {rows[0].id}: its row is not what was written" in caplog.text
+    with pytest.raises(InUseError, match=rf"\(a finding speaks of diagnosis {key}\)"):
+        Removal(store).delete_measurement(rows[2].id, "")
+    Removal(store)._bury_catalogue("made", "other", "")
+    Removal(store).delete_measurement(rows[0].id, "damaged")
+    assert files(store) == {rows[2].sha256}
+    with store.database.reading() as session:
+        assert session.scalar(select(MeasurementRow.name).where(MeasurementRow.id == rows[0].id)) == ""
+    with pytest.raises(DeletedError, match="damaged"):
+        Removal(store).delete_measurement(rows[0].id, "")
+
+
+def test_a_deletion_says_what_it_was(store: Store) -> None:
+    assets, removal, log = Assets(store.database), Removal(store), AuditLog(store.database)
+    row = stored(store)
+    assets.put("press-7", AssetIn(machine="press", notes="hall 2"))
+    key = diagnosed(store, row, asset="press-7")
+    finding = found(store, key)
+    build = BuildQueue(store.database).add({"name": "m"}, {"name": "p"}, "h" * 64, "made", None).id
+    BuildQueue(store.database).cancel(build)
+    removal.delete_finding(finding, "")
+    removal.delete_diagnosis(key, "")
+    removal.delete_asset("press-7", "")
+    removal.delete_build(build, "")
+    removal.delete_measurement(row.id, "")
+    gone = {each.kind: each.before or {} for each in log.page(None, 50) if each.action == "deleted"}
+    made = {each.kind: each.after or {} for each in log.page(None, 50) if each.action == "made"}
+    for kind in ("finding", "diagnosis", "asset", "build"):
+        assert gone[kind] == made[kind] != {}
+    assert gone["measurement"]["members"] == {"sha256": row.sha256}
+
+
+def statements(store: Store, act: Callable[[], Any]) -> list[str]:
+    """What a database is asked meanwhile."""
+    asked: list[str] = []
+
+    def note(_connection: object, _cursor: object, statement: str, *_: object) -> None:
+        asked.append(statement)
+
+    event.listen(store.database.engine, "before_cursor_execute", note)
+    act()
+    event.remove(store.database.engine, "before_cursor_execute", note)
+    return asked
+
+
+def test_assets_and_kept_answers_are_touched_once_for_a_batch(store: Store) -> None:
+    rows = [stored(store, CONTENT + bytes([65 + k])) for k in range(3)]
+    assets = Assets(store.database)
+    for row, name in zip(rows, ("c", "b", "a"), strict=True):
+        assets.put(name, AssetIn(machine="press"))
+        assets.own(name, row.id)
+    with store.database.writing() as session:
+        for row in rows:
+            kept = {"location": f"/api/v1/measurements/{row.id}"}
+            session.add(IdempotencyRow(id=row.id, fingerprint="f", created_at=now(), headers=kept, body=b""))
+    changes = [assets.asset(name).changes for name in "abc"]
+    asked = statements(store, lambda: Removal(store).delete_measurements([row.id for row in rows], ""))
+    assert sum(each.startswith("UPDATE assets") for each in asked) == 1
+    assert sum(each.startswith("DELETE FROM idempotency") for each in asked) == 1
+    assert [assets.asset(name).changes for name in "abc"] == [count + 1 for count in changes]
+    with store.database.reading() as session:
+        assert session.scalars(select(IdempotencyRow)).all() == []
+
+
+def test_what_is_deleted_is_put_on_no_hold(store: Store) -> None:
+    row = stored(store)
+    Removal(store).delete_measurement(row.id, "left")
+    with pytest.raises(DeletedError, match="left"):
+        retention.say(store.database, row.id, None, "claim 7")
+
+
+def test_two_that_say_how_a_recording_is_kept_at_once(store: Store) -> None:
+    row, holds = stored(store), ("claim 7", "claim 8", "claim 9", "claim 10")
+    with ThreadPoolExecutor(len(holds)) as pool:
+        said = list(pool.map(lambda hold: retention.say(store.database, row.id, None, hold).hold, holds))
+    assert said == list(holds)
+    if not store.database.is_sqlite:  # where rows are held one by one, a deletion waits for who says something
+        asked = statements(store, lambda: retention.say(store.database, row.id, None, None))
+        asked += statements(store, lambda: Removal(store).delete_measurement(row.id, ""))
+        assert sum("FOR NO KEY UPDATE" in each and "FROM measurements" in each for each in asked) == 2
+
+
+def test_as_many_recordings_as_there_are_may_be_evidence(store: Store) -> None:
+    row, other = stored(store), stored(store, CONTENT + b"A")
+    for first in (0, 24_000, 48_000):
+        request = {"measurements": [row.id, *(f"{number:032x}" for number in range(first, first + 24_000))]}
+        found(store, store.add_diagnosis(NewDiagnosis(row.id, "c", MACHINE, request, diagnosis())).id)
+    assert (class_of(store, row), class_of(store, other)) == ("evidence", "routine")
+
+
+def test_locks_of_a_database_differ() -> None:
+    texts = [path.read_text() for path in Path(app.__file__).parent.rglob("*.py")]
+    keys = [key for text in texts for key in re.findall(r"^\w+_LOCK = ([\d_]+)$", text, re.MULTILINE)]
+    assert len(set(keys)) == len(keys) >= 3
+
+
 def test_what_killed_servers_left_is_tidied_while_others_run(store: Store) -> None:
     row = stored(store)
     late = store.receive(io.BytesIO(b"sending"))  # killed here: the bytes have no name yet
@@ -309,6 +469,76 @@ def test_what_killed_servers_left_is_tidied_while_others_run(store: Store) -> No
     assert len(list(pruner(store).prune())) == 2
     assert files(store) == {young.path.name, row.sha256, "notes.txt"}
     assert young.path.name.startswith(PARTIAL)
+    aside = store.directory / "orphans" / named.sha256
+    assert aside.read_bytes() == b"named"
+    os.utime(aside, (old, old))
+    assert list(pruner(store).prune()) == []  # a day is not enough
+    month = time.time() - ORPHANS_S - 60
+    os.utime(aside, (month, month))
+    expected = [("files in orphans/", (named.sha256,))]
+    assert [(each.what, each.ids) for each in pruner(store).look()] == expected
+    assert [(each.what, each.ids) for each in pruner(store).prune()] == expected
+    assert not aside.exists()
+
+
+def age_files(store: Store, *, by_s: float = ABANDONED_S + 60) -> None:
+    for path in (store.directory / "measurements").rglob("*"):
+        os.utime(path, (time.time() - by_s,) * 2)
+
+
+def test_nothing_goes_beside_the_database_of_another(
+    url: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    with closing(Store(tmp_path / "data", url)) as store:
+        rows = [stored(store, CONTENT + bytes([65 + k])) for k in range(3)]
+        age_files(store)
+        assert store.files.why_apart() == ""
+    with closing(Store(tmp_path / "data", f"sqlite:///{tmp_path / 'wrong.sqlite'}")) as wrong:
+        for _ in range(2):
+            assert "it has the id of another database than" in pruner(wrong).why_apart()
+            assert pruner(wrong).look() == list(pruner(wrong).prune()) == []
+            (tmp_path / "data" / "database.id").unlink(missing_ok=True)  # as folders of before there were ids
+            assert "most of its files are of another database than" in pruner(wrong).why_apart()
+            assert pruner(wrong).look() == list(pruner(wrong).prune()) == []
+            stored(wrong, b"new")  # one that is spoken of is not most of them
+            (tmp_path / "data" / "database.id").write_text("0" * 32)
+        keeper = Housekeeper(pruner(wrong))
+        keeper.step()
+        keeper.step()
+        assert caplog.text.count("files of no recording stay there; name the right one in JOINTPLAY_DATABASE") == 1
+        assert {row.sha256 for row in rows} < files(wrong)
+        (tmp_path / "data" / "database.id").unlink()
+    with closing(Store(tmp_path / "data", url)) as store:
+        age_files(store)
+        (gone,) = pruner(store).prune()  # most of its files are its own: that of the other is put aside
+        assert gone.what == "files of no recording"
+        assert files(store) == {row.sha256 for row in rows}
+        assert (tmp_path / "data" / "database.id").is_file()
+
+
+def test_what_was_put_aside_comes_back_with_its_row(store: Store) -> None:
+    row = stored(store)
+    aside = store.directory / "orphans" / row.sha256
+    aside.parent.mkdir()
+    store.path_of(row.sha256).rename(aside)  # its row had been lost, and is back from a backup
+    assert list(pruner(store).prune()) == []
+    assert store.path_of(row.sha256).read_bytes() == CONTENT
+    assert not aside.exists()
+
+
+def test_what_fails_keeps_nothing_else_from_going(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    late = store.receive(io.BytesIO(b"sending"))
+    os.utime(late.path, (0, 0))
+
+    def fail(*_: object, **__: object) -> None:
+        raise OSError("no")
+
+    monkeypatch.setattr(Pruner, "_prune_expired", fail)
+    monkeypatch.setattr(Pruner, "_prune_told", fail)
+    with pytest.raises(OSError, match="no") as failed:
+        list(pruner(store).prune())
+    assert failed.value.__notes__ == ["besides: OSError: no"]
+    assert not late.path.exists()
 
 
 def test_deliveries_that_were_made_go(store: Store) -> None:
