@@ -77,6 +77,12 @@ def guarded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Key
         ("GET", "/static/page.css", None),
         ("GET", "/healthz", None),
         ("GET", "/healthz/x", Scope.READ),
+        ("DELETE", f"{API}/assets/press-7/acknowledgement", Scope.MATCH),
+        # Things that are called like it.
+        ("DELETE", f"{API}/catalogues/acknowledgement", Scope.ADMIN),
+        ("DELETE", f"{API}/assets/acknowledgement", Scope.ADMIN),
+        ("PUT", f"{API}/measurements/0a/retention", Scope.ADMIN),
+        ("PUT", f"{API}/assets/retention", Scope.MATCH),
     ],
 )
 def test_scope_of_an_address(method: str, path: str, scope: Scope | None) -> None:
