@@ -222,8 +222,10 @@ def again(
     def files(rows: list[MeasurementRow]) -> tuple[tuple[str, str, Told], ...]:
         return tuple((str(store.path_of(each.sha256)), each.name, each.told) for each in rows)
 
+    # Limits are those of then: the asset may have others by now.
     question = tasks.DiagnosisTask(
-        *place, speed, asked["effort"], asked["mode"], asked["mapping"], asked["prior"], files(baselines)
+        *(*place, speed, asked["effort"], asked["mode"], asked["mapping"], asked["prior"], files(baselines)),
+        limits_um=asked.get("limits_um", {}),
     )
     return Again(files(recordings), question, row.answer.model_dump(mode="json"))
 
