@@ -90,7 +90,7 @@ def repeat_newest(settings: ServiceSettings, store: Store, count: int) -> Iterat
     shelf = CatalogueShelf(settings.catalogues, partial(missing, store.database, "catalogue"))
 
     def verified(row: DiagnosisRow) -> tuple[str, str]:
-        found = check(store, row, speed_of(row.request.get("speed")), shelf)
+        found = check(store, row, speed_of(row.request.get("speed")), shelf.place_of)
         if found.again is None:
             said = f"diagnosis {row.id}: cannot be repeated: {found.said}"
             return "not_repeated", said if found.is_damaged else ""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -16,7 +16,6 @@ from jointplay.app.errors import (
     UnknownMeasurementError,
 )
 from jointplay.app.jobs import tasks
-from jointplay.app.shelves.catalogues import CatalogueShelf
 from jointplay.app.storage.recording_files import check_file
 from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
 from jointplay.app.storage.store import Store
@@ -179,7 +178,9 @@ class Checked:
         return not states.isdisjoint({"damaged", "missing"})
 
 
-def check(store: Store, row: DiagnosisRow, speed: float | None, shelf: CatalogueShelf) -> Checked:
+def check(
+    store: Store, row: DiagnosisRow, speed: float | None, find: Callable[[str], tuple[str, tuple[str, str]]]
+) -> Checked:
     """Check what a diagnosis was made of.
 
     Parameters
@@ -188,8 +189,8 @@ def check(store: Store, row: DiagnosisRow, speed: float | None, shelf: Catalogue
     row : DiagnosisRow
     speed : float, optional
         As asked [rad/s].
-    shelf : CatalogueShelf
-        Where the catalogue of its name is looked for.
+    find : callable
+        Gives id, and folder and stamp, of the catalogue that has a name now, or raises why there is none.
 
     Raises
     ------
@@ -200,19 +201,18 @@ def check(store: Store, row: DiagnosisRow, speed: float | None, shelf: Catalogue
     compared, baselines = evidence_of(store, baselines_of(store, row))
     bad = [each for each in (*recordings, *baselines) if each.state != "sound"]
     try:
-        offer = shelf.find(row.answer.catalogue)
+        identity, place = find(row.answer.catalogue)
     except UnknownCatalogueError:
         return Checked(recordings, baselines, "missing", None, f"catalogue {row.answer.catalogue}: is not here")
     except DeletedError as error:
         return Checked(recordings, baselines, "deleted", None, str(error))
     except DamagedCatalogueError as error:
         return Checked(recordings, baselines, "damaged", None, str(error))
-    if offer.description.id != row.catalogue:
+    if identity != row.catalogue:
         said = f"catalogue {row.answer.catalogue}: has another content now"
         return Checked(recordings, baselines, "other", None, said)
     if bad:
         return Checked(recordings, baselines, "same", None, bad[0].said)
-    place = str(offer.path), offer.stamp
     return Checked(recordings, baselines, "same", again(store, row, measured, compared, speed, place))
 
 

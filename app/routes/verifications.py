@@ -22,7 +22,7 @@ async def verify(request: Request, key: str) -> VerificationOut:
     service = of_request(request)
     row = await run_in_threadpool(service.store.diagnosis, key)
     speed = speed_of(row.request.get("speed"))
-    found = await run_in_threadpool(check, service.store, row, speed, service.shelf)
+    found = await run_in_threadpool(check, service.store, row, speed, service.shelf.place_of)
     again = Repetition("not_repeated", said=found.said)
     if found.again is not None:
         again = await service.pool.run(repeated_here, found.again)
