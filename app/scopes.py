@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from enum import StrEnum
 
@@ -13,9 +14,9 @@ API = "/api/v1"
 OPEN = ("/healthz", "/readyz", "/sign-in", "/sign-out", "/openapi.json")
 OPEN_FOLDER = "/static/"
 ADMINISTERED = ("/webhooks", "/keys", "/audit")
-RETENTION = "/retention"
+RETENTION = re.compile(r"/measurements/[^/]+/retention")
 #: What is taken back by DELETE, and can be said again: everything else that is deleted is gone.
-TAKEN_BACK = "/acknowledgement"
+TAKEN_BACK = re.compile(r"/assets/[^/]+/acknowledgement")
 BUILDING = ("/forecasts", "/builds", "/machines")
 
 
@@ -54,7 +55,7 @@ def scope_of(method: str, path: str) -> Scope | None:
         return Scope.ADMIN
     if method in READING:
         return Scope.READ
-    if place.endswith(RETENTION) or (method == "DELETE" and not place.endswith(TAKEN_BACK)):
+    if RETENTION.fullmatch(place) or (method == "DELETE" and not TAKEN_BACK.fullmatch(place)):
         return Scope.ADMIN
     return Scope.BUILD if under(place, BUILDING) else Scope.MATCH
 

@@ -373,7 +373,7 @@ class Service:
             asked.offer.description.id,
             asked.offer.document,
             request.model_dump(mode="json")
-            | {"baselines": list(asked.baselines)}
+            | {"baselines": list(asked.baselines), "limits_um": dict(asked.question.limits_um)}
             | ({"mapping_remembered": True} if asked.remembered else {}),
             result,
             also,

@@ -78,7 +78,11 @@ def command(
     say(settings, f"serving http://{host}:{listener.getsockname()[1]}")
     if settings.keys == "required":
         say(settings, "requests need a key; `jointplay keys create NAME` makes one")
-    application = create_app(settings, warm=True)
+    try:
+        application = create_app(settings, warm=True)
+    except BaseException:
+        listener.close()
+        raise
     server = Server(
         application,
         listener,

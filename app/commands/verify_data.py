@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from jointplay.app.errors import DamageError, UnknownCatalogueError, UnknownDiagnosisError
+from jointplay.app.errors import DamageError, RecordingMissingError, UnknownDiagnosisError
 
 if TYPE_CHECKING:
     from jointplay.app.settings import ServiceSettings
@@ -57,46 +58,50 @@ def verify_service(settings: ServiceSettings, repeat: int, report: Path | None, 
                 looked[step.kind] += step.count
                 for said in step.damage:
                     tell(said)
-            for said in repeat_newest(settings, store, repeat):
-                looked["repeated"] += 1
+            for kind, said in repeat_newest(settings, store, repeat):
+                looked[kind] += 1
                 if said:
                     tell(said)
     finally:
         store.close()
-    counts = {kind: looked[kind] for kind in (*KINDS, "repeated")}
+    counts = {kind: looked[kind] for kind in (*KINDS, "repeated", "not_repeated")}
     if as_json:
         print_json({"data": str(settings.data), "sound": not damage, "looked_at": counts, "damage": damage})
     elif not damage:
         said = f"{looked['row']} rows, {looked['recording']} recordings, {looked['audit']} rows of the audit log"
         said += f", {looked['repeated']} diagnoses repeated" if repeat else ""
+        if looked["not_repeated"]:
+            said += f", {looked['not_repeated']} not: their recordings or catalogue were deleted, or have changed"
         click.echo(f"{report or settings.data}: in order{'' if report else f': {said}'}")
     if damage:
         raise DamageError(f"{report or settings.data}: {len(damage)} damaged; `jointplay restore` brings a backup back")
 
 
-def repeat_newest(settings: ServiceSettings, store: Store, count: int) -> Iterator[str]:
-    """Make the newest diagnoses again; give what is wrong with each, or an empty text."""
-    from jointplay.app.jobs.verification import Repetition, check, repeated_here
+def repeat_newest(settings: ServiceSettings, store: Store, count: int) -> Iterator[tuple[str, str]]:
+    """Make the newest diagnoses again; give of each whether it was ("repeated", "not_repeated"), and what is wrong.
+
+    That something was deleted, or a catalogue has grown, is nothing wrong.
+    """
+    from jointplay.app.jobs.verification import check, repeated_here
     from jointplay.app.service import speed_of
     from jointplay.app.shelves.catalogues import CatalogueShelf
+    from jointplay.app.storage.tombstones import missing
 
-    shelf = CatalogueShelf(settings.catalogues)
+    shelf = CatalogueShelf(settings.catalogues, partial(missing, store.database, "catalogue"))
 
-    def verified(row: DiagnosisRow) -> str:
-        try:
-            offer = shelf.find(row.answer.catalogue)
-        except UnknownCatalogueError:
-            place = None
-        else:
-            place = offer.description.id, (str(offer.path), offer.stamp)
-        found = check(store, row, speed_of(row.request.get("speed")), place)
-        again = Repetition("not_repeated", said=found.said) if found.again is None else repeated_here(found.again)
+    def verified(row: DiagnosisRow) -> tuple[str, str]:
+        found = check(store, row, speed_of(row.request.get("speed")), shelf.place_of)
+        if found.again is None:
+            said = f"diagnosis {row.id}: cannot be repeated: {found.said}"
+            return "not_repeated", said if found.is_damaged else ""
+        again = repeated_here(found.again)
         if again.outcome in ("equal", "rounding"):
-            return ""
+            return "repeated", ""
         if again.outcome == "not_repeated":
-            return f"diagnosis {row.id}: cannot be repeated: {again.said}"
+            return "not_repeated", f"diagnosis {row.id}: cannot be repeated: {again.said}"
         first = again.differences[0]
-        return f"diagnosis {row.id}: comes out otherwise: {first.member} was {first.then}, is {first.now}"
+        was = f"{first.member} was {first.then}, is {first.now}"
+        return "repeated", f"diagnosis {row.id}: comes out otherwise: {was}"
 
     if count:
         for row in store.diagnoses(None, count, damaged=[]):
@@ -108,13 +113,15 @@ def check_report(store: Store, path: Path) -> Iterator[str]:
     from jointplay.app.errors import AppError
     from jointplay.app.reports.evidence import evidence_of, read_evidence
     from jointplay.app.storage.recording_files import check_file
+    from jointplay.app.storage.tombstones import checksums_of
 
     said = read_evidence(path.read_bytes())
     if said is None:
         yield f"{path}: names no diagnosis that it is of"
         return
     try:
-        known = evidence_of(store.diagnosis(said.diagnosis))
+        row = store.diagnosis(said.diagnosis)
+        known = evidence_of(row)
     except UnknownDiagnosisError:
         yield f"{path}: diagnosis {said.diagnosis}: is not here"
         return
@@ -124,9 +131,13 @@ def check_report(store: Store, path: Path) -> Iterator[str]:
     for name in ("checksum", "catalogue", "recordings"):
         if getattr(said, name) != getattr(known, name):
             yield f"{path}: diagnosis {said.diagnosis}: its {name} is not the one of this report"
+    gone = checksums_of(store.database, "measurement", store.deleted_of(row))
     for sha256 in known.recordings:
         try:
             for _ in check_file(store.path_of(sha256)):
                 pass
+        except RecordingMissingError as error:
+            if sha256 not in gone:  # else somebody has deleted it, as the diagnosis says, too
+                yield f"{path}: {error}"
         except AppError as error:
             yield f"{path}: {error}"

@@ -272,7 +272,9 @@ def host_name(named: str) -> str:
 
 def actor_of(request: Request) -> Actor:
     """Return who sent a request that was let pass."""
-    return Actor(key=request.state.key, address=address(request), request_id=logs.request_id())
+    return Actor(
+        key=request.state.key, person=request.state.person, address=address(request), request_id=logs.request_id()
+    )
 
 
 def address(request: Request) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import threading
 from collections.abc import Iterator
 
 from cachetools import TTLCache, cachedmethod
@@ -32,12 +33,13 @@ class Stored(Collector):
     def __init__(self, service: Service) -> None:
         self._service = service
         self._kept: TTLCache[str, Usage] = TTLCache(1, HOLDS_S)
+        self._lock = threading.Lock()
 
     def describe(self) -> list[Metric]:
         """Return nothing: names are known when they are asked for."""
         return []
 
-    @cachedmethod(lambda self: self._kept, key=lambda _self: "usage")
+    @cachedmethod(lambda self: self._kept, key=lambda _self: "usage", lock=lambda self: self._lock)
     def _usage(self) -> Usage:
         return measure(self._service.store)
 

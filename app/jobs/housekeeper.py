@@ -11,7 +11,8 @@ from jointplay.app.storage.pruning import Pruner
 
 log = logging.getLogger(__name__)
 
-EVERY_S = 3600.0
+EVERY_S, CLOSE_S = 3600.0, 10.0
+"""From the end of one time to the next, and the longest wait for the transaction that is being made [s]."""
 
 
 class Housekeeper:
@@ -33,10 +34,10 @@ class Housekeeper:
         self._thread.start()
 
     def close(self) -> None:
-        """End, after the transaction that is being made."""
+        """End, after the transaction that is being made; one that lasts too long is left to the database."""
         self._stop.set()
         if self._thread.is_alive():
-            self._thread.join()
+            self._thread.join(CLOSE_S)
 
     def _run(self) -> None:
         while not self._stop.is_set():

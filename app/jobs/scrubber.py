@@ -19,8 +19,8 @@ log = logging.getLogger(__name__)
 RATE = 5_000_000
 """Bytes a second at most: a small part of what a disk gives."""
 
-FIRST_S, PAUSE_S = 60.0, 86_400.0
-"""From the start of the server to the first look, and from the end of one to the next [s]."""
+FIRST_S, PAUSE_S, RETRY_S = 60.0, 86_400.0, 300.0
+"""From the start of the server to the first look, from the end of one to the next, and from one that broke off [s]."""
 
 
 class Scrubber:
@@ -39,16 +39,18 @@ class Scrubber:
         self._store, self._metrics, self._rate = store, metrics, rate
 
     async def run(self) -> None:
-        """Look, and look again a day later, until this is cancelled."""
+        """Look, and look again a day later, or soon where it broke off, until this is cancelled."""
         await asyncio.sleep(FIRST_S)
         while True:
+            pause = RETRY_S
             try:
                 await self.look()
+                pause = PAUSE_S
             except SQLAlchemyError as error:
                 log.warning("looking for damage waits for the database: %s", type(error).__name__)
             except Exception:
                 log.exception("looking for damage broke off")
-            await asyncio.sleep(PAUSE_S)
+            await asyncio.sleep(pause)
 
     async def look(self) -> None:
         """Look through everything once."""

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
 from jointplay.app.errors import (
     AppError,
+    DamagedCatalogueError,
     DeletedError,
     RecordingDamagedError,
     RecordingMissingError,
+    UnknownCatalogueError,
     UnknownMeasurementError,
 )
 from jointplay.app.jobs import tasks
@@ -31,6 +33,9 @@ VERSIONED = frozenset({"id", "hash", "provenance.solver_version", "provenance.ma
 """Members that tell versions of the program; they are told by themselves."""
 
 Outcome = Literal["equal", "rounding", "differs", "not_repeated"]
+RecordingState = Literal["sound", "damaged", "missing", "deleted"]
+CatalogueState = Literal["same", "other", "damaged", "missing", "deleted"]
+"""Missing is what nobody has deleted, and is not there all the same."""
 
 
 @dataclass(frozen=True)
@@ -40,14 +45,14 @@ class Evidence:
     Parameters
     ----------
     measurement, sha256 : str
-    state : {"sound", "damaged", "missing"}
+    state : RecordingState
     said : str
         What is wrong; empty where nothing is.
     """
 
     measurement: str
     sha256: str
-    state: Literal["sound", "damaged", "missing"]
+    state: RecordingState
     said: str = ""
 
 
@@ -110,7 +115,10 @@ def evidence_of(store: Store, keys: tuple[str, ...]) -> tuple[list[MeasurementRo
     for key in keys:
         try:
             row = store.measurement(key)
-        except (DeletedError, UnknownMeasurementError) as error:
+        except DeletedError as error:
+            found.append(Evidence(key, "", "deleted", str(error)))
+            continue
+        except UnknownMeasurementError as error:
             found.append(Evidence(key, "", "missing", str(error)))
             continue
         try:
@@ -150,7 +158,7 @@ class Checked:
     Parameters
     ----------
     recordings, baselines : list of Evidence
-    catalogue : {"same", "other", "missing"}
+    catalogue : CatalogueState
         Whether the catalogue of its name is the one that it was made with.
     again : Again or None
     said : str
@@ -159,13 +167,19 @@ class Checked:
 
     recordings: list[Evidence]
     baselines: list[Evidence]
-    catalogue: Literal["same", "other", "missing"]
+    catalogue: CatalogueState
     again: Again | None
     said: str = ""
 
+    @property
+    def is_damaged(self) -> bool:
+        """Whether something is damaged, or gone without anybody having deleted it."""
+        states = {self.catalogue, *(each.state for each in (*self.recordings, *self.baselines))}
+        return not states.isdisjoint({"damaged", "missing"})
+
 
 def check(
-    store: Store, row: DiagnosisRow, speed: float | None, catalogue: tuple[str, tuple[str, str]] | None
+    store: Store, row: DiagnosisRow, speed: float | None, find: Callable[[str], tuple[str, tuple[str, str]]]
 ) -> Checked:
     """Check what a diagnosis was made of.
 
@@ -175,8 +189,8 @@ def check(
     row : DiagnosisRow
     speed : float, optional
         As asked [rad/s].
-    catalogue : (str, (str, str)), optional
-        Id, folder and stamp of the catalogue that has its name now.
+    find : callable
+        Gives id, and folder and stamp, of the catalogue that has a name now, or raises why there is none.
 
     Raises
     ------
@@ -186,14 +200,20 @@ def check(
     measured, recordings = evidence_of(store, row.measurements)
     compared, baselines = evidence_of(store, baselines_of(store, row))
     bad = [each for each in (*recordings, *baselines) if each.state != "sound"]
-    if catalogue is None:
+    try:
+        identity, place = find(row.answer.catalogue)
+    except UnknownCatalogueError:
         return Checked(recordings, baselines, "missing", None, f"catalogue {row.answer.catalogue}: is not here")
-    if catalogue[0] != row.catalogue:
+    except DeletedError as error:
+        return Checked(recordings, baselines, "deleted", None, str(error))
+    except DamagedCatalogueError as error:
+        return Checked(recordings, baselines, "damaged", None, str(error))
+    if identity != row.catalogue:
         said = f"catalogue {row.answer.catalogue}: has another content now"
         return Checked(recordings, baselines, "other", None, said)
     if bad:
         return Checked(recordings, baselines, "same", None, bad[0].said)
-    return Checked(recordings, baselines, "same", again(store, row, measured, compared, speed, catalogue[1]))
+    return Checked(recordings, baselines, "same", again(store, row, measured, compared, speed, place))
 
 
 def again(
@@ -222,8 +242,10 @@ def again(
     def files(rows: list[MeasurementRow]) -> tuple[tuple[str, str, Told], ...]:
         return tuple((str(store.path_of(each.sha256)), each.name, each.told) for each in rows)
 
+    # Limits are those of then: the asset may have others by now.
     question = tasks.DiagnosisTask(
-        *place, speed, asked["effort"], asked["mode"], asked["mapping"], asked["prior"], files(baselines)
+        *(*place, speed, asked["effort"], asked["mode"], asked["mapping"], asked["prior"], files(baselines)),
+        limits_um=asked.get("limits_um", {}),
     )
     return Again(files(recordings), question, row.answer.model_dump(mode="json"))
 

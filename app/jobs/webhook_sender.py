@@ -253,6 +253,10 @@ class WebhookSender:
             except SQLAlchemyError as error:
                 log.warning("webhooks wait for the database: %s", type(error).__name__)
                 busy = False
+            except Exception:
+                # Whatever it is, it must not end the thread; what was taken is due again after its lease.
+                log.exception("a webhook delivery could not be begun")
+                busy = False
             if not busy:
                 self._wake.wait(PAUSE_S)
 
@@ -269,7 +273,12 @@ class WebhookSender:
         if taken is None:
             return False
         self._busy[taken.webhook] = taken
-        threading.Thread(target=self._serve, args=(taken,), name=f"webhook-{taken.webhook}", daemon=True).start()
+        lane = threading.Thread(target=self._serve, args=(taken,), name=f"webhook-{taken.webhook}", daemon=True)
+        try:
+            lane.start()
+        except RuntimeError:  # the system has no thread left
+            del self._busy[taken.webhook]
+            raise
         return True
 
     def _serve(self, taken: Taken) -> None:

@@ -80,7 +80,7 @@ def motion(machine: str, fault: tuple[tuple[str, float], ...] = ()) -> Mapping[s
     Returns
     -------
     dict
-        Members of :class:`jointplay.app.schemas.resources.Motion`.
+        Members of :class:`jointplay.app.schemas.machines.Motion`.
     """
     from jointplay.solver.machines.drawing_motion import moving_drawing
     from jointplay.solver.machines.machine import parse_machine

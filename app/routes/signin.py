@@ -44,11 +44,11 @@ async def sign_in(request: Request) -> Response:
         return response
     try:
         key = await run_in_threadpool(keys.find, fields.get("key", "").strip())
+        token = await run_in_threadpool(keys.open_session, key)
     except UnauthorizedError as error:
         failures.take(sender)
         await run_in_threadpool(keys.note_refusal, sender)
         return show_form(request, place, str(error), 401)
-    token = await run_in_threadpool(keys.open_session, key)
     response = RedirectResponse(place, status_code=303)
     response.set_cookie(
         COOKIE,

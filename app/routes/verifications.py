@@ -7,11 +7,10 @@ from dataclasses import asdict
 from fastapi import APIRouter, Request
 from starlette.concurrency import run_in_threadpool
 
-from jointplay.app.errors import UnknownCatalogueError
 from jointplay.app.http.openapi import problems
 from jointplay.app.jobs.verification import Checked, Repetition, check, repeated_here
 from jointplay.app.schemas.custody import CatalogueThen, EvidenceOut, VerificationOut, VersionPair
-from jointplay.app.service import Service, of_request, speed_of
+from jointplay.app.service import of_request, speed_of
 from jointplay.app.storage.rows import DiagnosisRow
 
 router = APIRouter(prefix="/diagnoses", tags=["diagnoses"])
@@ -22,22 +21,12 @@ async def verify(request: Request, key: str) -> VerificationOut:
     """Check the files that a diagnosis was made of, make the answer again, and say how it compares."""
     service = of_request(request)
     row = await run_in_threadpool(service.store.diagnosis, key)
-    found = await run_in_threadpool(look_at, service, row)
+    speed = speed_of(row.request.get("speed"))
+    found = await run_in_threadpool(check, service.store, row, speed, service.shelf.place_of)
     again = Repetition("not_repeated", said=found.said)
     if found.again is not None:
         again = await service.pool.run(repeated_here, found.again)
     return verification_out(row, found, again)
-
-
-def look_at(service: Service, row: DiagnosisRow) -> Checked:
-    """Check what a diagnosis was made of."""
-    try:
-        offer = service.shelf.find(row.answer.catalogue)
-    except UnknownCatalogueError:
-        place = None
-    else:
-        place = offer.description.id, (str(offer.path), offer.stamp)
-    return check(service.store, row, speed_of(row.request.get("speed")), place)
 
 
 def verification_out(row: DiagnosisRow, found: Checked, again: Repetition) -> VerificationOut:

@@ -15,7 +15,7 @@ class EvidenceOut(Shape):
 
     measurement: str
     sha256: str = Field(description="As it was stored; empty where the measurement is not there any more.")
-    state: Literal["sound", "damaged", "missing"]
+    state: Literal["sound", "damaged", "missing", "deleted"]
     said: str = Field(description="What is wrong; empty where nothing is.")
 
 
@@ -24,7 +24,7 @@ class CatalogueThen(Shape):
 
     id: str
     name: str
-    state: Literal["same", "other", "missing"] = Field(
+    state: Literal["same", "other", "damaged", "missing", "deleted"] = Field(
         description="other: the catalogue of this name has another content now; missing: there is none of this name."
     )
 

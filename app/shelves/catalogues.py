@@ -133,6 +133,11 @@ class CatalogueShelf:
         unknown = UnknownCatalogueError(f"catalogue: {name[:80]}: there is none of this id or name", field="catalogue")
         raise self._missing(name, unknown)
 
+    def place_of(self, name: str) -> tuple[str, tuple[str, str]]:
+        """Return the id of the catalogue of an id or folder name, and its folder and stamp; raises as :meth:`find`."""
+        offer = self.find(name)
+        return offer.description.id, (str(offer.path), offer.stamp)
+
     def find_unchanged(self, name: str) -> Offer | None:
         """Return the catalogue of an id or folder name if it was looked at before and is as it was; a few stats."""
         with self._lock:

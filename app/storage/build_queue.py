@@ -142,6 +142,8 @@ class BuildQueue:
             if found is row:
                 session.add(row)
                 note(session, "made", "build", row.id, after=about_build(row))
+            else:
+                note(session, "asked for again", "build", found.id)
         return self.find(found.id)
 
     def find(self, key: str) -> BuildRow:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import json
+import logging
 from collections.abc import Awaitable, Callable, Collection
 from datetime import datetime, timedelta
 from typing import Annotated, Any
@@ -24,6 +25,8 @@ from starlette.responses import Response
 from jointplay.app.errors import KeyInUseError, KeyReusedError
 from jointplay.app.storage.database import ServiceDatabase
 from jointplay.app.storage.rows import Base, now
+
+log = logging.getLogger(__name__)
 
 HEADER = "idempotency-key"
 LONGEST = 255
@@ -97,9 +100,12 @@ async def once(
         return earlier
     try:
         answer = await act()
-    except (Exception, asyncio.CancelledError):
+    except asyncio.CancelledError:
         # Not in a thread: a cancelled task waits for nothing any more.
-        settle(database, place, moment, None)
+        free(database, place, moment)
+        raise
+    except Exception:
+        await run_in_threadpool(free, database, place, moment)
         raise
     await run_in_threadpool(settle, database, place, moment, answer)
     return answer
@@ -149,6 +155,14 @@ def forget(session: Session, places: Collection[str]) -> None:
         The ``Location`` of each answer.
     """
     session.execute(delete(IdempotencyRow).where(IdempotencyRow.headers["location"].as_string().in_(places)))
+
+
+def free(database: ServiceDatabase, place: str, moment: datetime) -> None:
+    """Free the key of a request that failed; where even that fails, the key is free after its lease."""
+    try:
+        settle(database, place, moment, None)
+    except Exception:  # whatever it is, what is told is why the request failed
+        log.exception("an Idempotency-Key stays in use until its lease is over")
 
 
 def settle(database: ServiceDatabase, place: str, moment: datetime, answer: Response | None) -> None:

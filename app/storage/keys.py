@@ -120,7 +120,7 @@ class Keys:
         self._database = database
         self._refused: TTLCache[str, bool] = TTLCache(ADDRESSES, QUIET_S)
         self._used: dict[str, datetime] = {}
-        self._using = threading.Lock()
+        self._lock = threading.Lock()  # of both: requests are answered in several threads
 
     def create(self, name: str, scopes: frozenset[Scope], lifetime: timedelta) -> tuple[Key, str]:
         """Make a key; return it and the token that is shown once and kept nowhere.
@@ -251,9 +251,21 @@ class Keys:
         return self._in_use(row)
 
     def open_session(self, key: Key) -> str:
-        """Return the token of a new session of a key; sessions that are over are forgotten."""
-        token = secrets.token_urlsafe(SECRET_BYTES)
+        """Return the token of a new session of a key; sessions that are over are forgotten.
+
+        Raises
+        ------
+        UnauthorizedError
+            When the key does not hold, or has a new secret since it was found.
+        """
+        token, formers = secrets.token_urlsafe(SECRET_BYTES), select(FormerSecretRow.expires_at)
         with self._database.writing() as session:
+            row = _known(session, key.id, locked=True)  # as long as it is looked at, nobody gives it another secret
+            valid(key_of(row))
+            # Each secret has an end of its own, which the key bears that was found by it.
+            ends = {row.expires_at, *session.scalars(formers.where(FormerSecretRow.key == key.id))}
+            if key.expires_at not in ends:
+                raise UnauthorizedError(f"the key {key.id} has just got another secret; sign in again")
             session.execute(delete(SessionRow).where(SessionRow.expires_at < now()))
             session.add(SessionRow(sha256=digest(token), key=key.id, expires_at=min(now() + SESSION, key.expires_at)))
             note(session, "signed in", "key", key.id)
@@ -264,10 +276,12 @@ class Keys:
 
         Of an address once a minute: nobody without a key is to fill a disk.
         """
-        if address not in self._refused:
+        with self._lock:
+            if address in self._refused:
+                return
             self._refused[address] = True
-            with self._database.writing() as session:
-                note(session, "refused to sign in", "address", address)
+        with self._database.writing() as session:
+            note(session, "refused to sign in", "address", address)
 
     def of_session(self, token: str) -> Key:
         """Return the key that a session was opened with.
@@ -287,11 +301,13 @@ class Keys:
     def close_session(self, token: str) -> None:
         """End a session."""
         with self._database.writing() as session:
-            session.execute(delete(SessionRow).where(SessionRow.sha256 == digest(token)))
+            ended = delete(SessionRow).where(SessionRow.sha256 == digest(token)).returning(SessionRow.key)
+            for key in session.scalars(ended):
+                note(session, "signed out", "key", key)
 
     def write_uses(self) -> None:
         """Store when keys were used since this was called last; a server does it once a minute."""
-        with self._using:
+        with self._lock:
             used = dict(self._used)
         if not used:
             return
@@ -300,13 +316,13 @@ class Keys:
         kept = {"index_elements": ["key"], "set_": {"used_at": newer}, "where": KeyUseRow.used_at < newer}
         with self._database.writing() as session:
             session.execute(statement.on_conflict_do_update(**kept))
-        with self._using:  # what could not be stored is stored the next time
+        with self._lock:  # what could not be stored is stored the next time
             self._used = {key: at for key, at in self._used.items() if used.get(key) != at}
 
     def _in_use(self, row: ApiKeyRow) -> Key:
         """Return a key that is used now, if it holds."""
         key = valid(key_of(row))
-        with self._using:
+        with self._lock:
             self._used[key.id] = now()
         return key
 

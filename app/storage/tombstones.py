@@ -74,3 +74,10 @@ def missing(database: ServiceDatabase, kind: Kind, key: str, otherwise: AppError
 def deleted(kind: Kind) -> Select[str]:
     """Return the query for the ids of what was deleted."""
     return select(TombstoneRow.id).where(TombstoneRow.kind == kind)
+
+
+def checksums_of(database: ServiceDatabase, kind: Kind, keys: Iterable[str]) -> set[str]:
+    """Return the checksums of what was deleted, of those of some ids that have one."""
+    query = select(TombstoneRow.sha256).where(TombstoneRow.kind == kind, TombstoneRow.id.in_(list(keys)))
+    with database.reading() as session:
+        return set(session.scalars(query))

@@ -220,6 +220,7 @@ class Webhooks:
         with self._database.writing() as session:
             row = delivery_of(hook, TEST, {"webhook": hook.id})
             session.add(row)
+            note(session, "tried", "webhook", hook.id)
         return row
 
     def redeliver(self, key: str, delivery: str) -> DeliveryRow:
@@ -241,6 +242,7 @@ class Webhooks:
             raise WebhookDisabledError(f"webhook {hook.id}: is disabled; a test that succeeds enables it")
         values = {"state": "waiting", "attempts": 0, "error": "", "due_at": now()}
         with self._database.writing() as session:
+            note(session, "redelivered", "webhook", hook.id, after={"delivery": row.id})
             mine = update(DeliveryRow).where(DeliveryRow.id == row.id).values(**values).returning(DeliveryRow)
             return session.scalars(mine, execution_options={"populate_existing": True}).one()
 
@@ -301,7 +303,9 @@ class Webhooks:
             if key is None:  # or it was forgotten meanwhile
                 return False
             if not error:
-                session.execute(delete(TroubleRow).where(TroubleRow.webhook == key))
+                over = delete(TroubleRow).where(TroubleRow.webhook == key).returning(TroubleRow.disabled_at)
+                if session.scalar(over) is not None:
+                    note(session, "enabled", "webhook", key)
                 return False
             return self._blame(session, key, moment, values["error"])
 
@@ -314,6 +318,7 @@ class Webhooks:
         if trouble.disabled_at is not None or moment - trouble.since < GIVEN_UP_AFTER:
             return False
         trouble.disabled_at = moment
+        note(session, "disabled", "webhook", key)
         session.flush()
         waiting = (DeliveryRow.webhook == key, DeliveryRow.state == "waiting")
         given_up = {"state": "failed", "error": "the webhook was given up"}

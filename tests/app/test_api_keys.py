@@ -9,10 +9,12 @@ from collections.abc import Iterator
 from datetime import timedelta
 from functools import partial
 from pathlib import Path
+from typing import Any
 from unittest import mock
 
 import httpx
 import pytest
+from cachetools import TTLCache
 from command_line import invoke
 from small_service import serving
 from sqlalchemy import event
@@ -77,6 +79,12 @@ def guarded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, Key
         ("GET", "/static/page.css", None),
         ("GET", "/healthz", None),
         ("GET", "/healthz/x", Scope.READ),
+        ("DELETE", f"{API}/assets/press-7/acknowledgement", Scope.MATCH),
+        # Things that are called like it.
+        ("DELETE", f"{API}/catalogues/acknowledgement", Scope.ADMIN),
+        ("DELETE", f"{API}/assets/acknowledgement", Scope.ADMIN),
+        ("PUT", f"{API}/measurements/0a/retention", Scope.ADMIN),
+        ("PUT", f"{API}/assets/retention", Scope.MATCH),
     ],
 )
 def test_scope_of_an_address(method: str, path: str, scope: Scope | None) -> None:
@@ -156,6 +164,33 @@ def test_a_session_ends_with_the_secret_that_opened_it(keys: Keys) -> None:
         with pytest.raises(UnauthorizedError, match="session is over"):
             keys.of_session(sessions[0])
         assert keys.of_session(sessions[1]).scopes == {Scope.READ}
+
+
+def test_a_key_that_was_renewed_while_it_was_looked_at_opens_no_session(keys: Keys) -> None:
+    first = make(keys, Scope.READ, days=100)
+    found = keys.find(first)
+    _, second, _ = keys.rotate(found.id, timedelta(0), timedelta(days=30))
+    with pytest.raises(UnauthorizedError, match="another secret"):
+        keys.open_session(found)
+    found = keys.find(second)
+    keys.revoke(found.id)
+    with pytest.raises(UnauthorizedError, match="was revoked"):
+        keys.open_session(found)
+
+
+def test_refusals_are_counted_by_one_thread_at_a_time(keys: Keys) -> None:
+    class Guarded(TTLCache[str, bool]):
+        def __contains__(self, address: object) -> bool:
+            assert keys._lock.locked()
+            return super().__contains__(address)
+
+        def __setitem__(self, address: str, known: bool, *more: Any) -> None:
+            assert keys._lock.locked()
+            super().__setitem__(address, known, *more)
+
+    keys._refused = Guarded(10, 60.0)
+    keys.note_refusal("192.0.2.9")
+    assert list(keys._refused) == ["192.0.2.9"]
 
 
 def test_a_secret_that_has_expired_is_not_revived_by_a_new_one(keys: Keys) -> None:

@@ -100,6 +100,8 @@ def test_a_worn_asset_from_its_first_recording_to_its_repair(service: httpx.Clie
     event, data = told(listener)
     assert (event, data["joint"], data["limit_um"]) == ("limit.predicted", "B", 90.0)
     put(service, "life-1", limits_um={"B": 1000})
+    again = service.get(f"{API}/diagnoses/{answer['id']}/verification").raise_for_status().json()
+    assert (again["repeated"], again["differences"]) == ("equal", []), "the limit of then goes with the question"
     assert standing(service, "life-1")["state"] == "watch"
     assert told(listener)[1]["state"] == "watch"
     put(service, "life-1", limits_um={"B": 1000}, silent_after_days=1)

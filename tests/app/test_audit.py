@@ -74,11 +74,16 @@ def test_every_change_is_noted_with_who_made_it(store: Store) -> None:
             asked, FindingIn.model_validate({"at": "2026-03-01T06:00:00Z", "text": "in order"})
         )
         hook = Webhooks(store.database).add("https://user:secret@example.org/path-secret", ["build.ended"])
+        tried = Webhooks(store.database).test(hook.id)
+        Webhooks(store.database).redeliver(hook.id, tried.id)
         Webhooks(store.database).remove(hook.id)
         build = BuildQueue(store.database).add(MACHINE, {"name": "p"}, "h", "c", None)
+        BuildQueue(store.database).add(MACHINE, {"name": "p"}, "h", "c", None)
         BuildQueue(store.database).cancel(build.id)
         key, token = Keys(store.database).create("line 3", frozenset({Scope.READ}), timedelta(days=1))
-        Keys(store.database).open_session(key)
+        session = Keys(store.database).open_session(key)
+        Keys(store.database).close_session(session)
+        Keys(store.database).close_session(session)
         Keys(store.database).revoke(key.id)
         Keys(store.database).revoke(key.id)
         keys = Keys(store.database)
@@ -94,11 +99,15 @@ def test_every_change_is_noted_with_who_made_it(store: Store) -> None:
         ("made", "diagnosis", asked.id),
         ("made", "finding", found.id),
         ("made", "webhook", hook.id),
+        ("tried", "webhook", hook.id),
+        ("redelivered", "webhook", hook.id),
         ("deleted", "webhook", hook.id),
         ("made", "build", build.id),
+        ("asked for again", "build", build.id),
         ("cancelled", "build", build.id),
         ("made", "key", key.id),
         ("signed in", "key", key.id),
+        ("signed out", "key", key.id),
         ("revoked", "key", key.id),
         ("refused to sign in", "address", "192.0.2.9"),
     ]

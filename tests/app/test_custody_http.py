@@ -15,11 +15,14 @@ import pytest
 from command_line import invoke
 from http_answers import send
 from small_service import asking
+from sqlalchemy.exc import OperationalError
 
+from jointplay.app.errors import AppError, DamagedCatalogueError, DeletedError, UnknownCatalogueError
 from jointplay.app.jobs import verification
 from jointplay.app.jobs.scrubber import Scrubber
 from jointplay.app.metrics import Metrics
 from jointplay.app.settings import ServiceSettings
+from jointplay.app.shelves.catalogues import CatalogueShelf
 from jointplay.app.storage.store import Store
 
 API = "/api/v1"
@@ -82,7 +85,7 @@ def test_everything_is_in_order_at_the_prompt(
     assert result.exit_code == 0, result.output
     found = json.loads(result.stdout)
     assert found["sound"] and found["looked_at"].pop("audit") >= 4
-    assert found["looked_at"] == {"row": 4, "recording": 2, "repeated": 1}
+    assert found["looked_at"] == {"row": 4, "recording": 2, "repeated": 1, "not_repeated": 0}
 
 
 @pytest.mark.parametrize("of", ["measurement", "of_baseline"])
@@ -188,6 +191,55 @@ def test_a_report_is_checked_against_what_is_stored(
     assert "names no diagnosis" in at_prompt(place, "--report", file).stdout
 
 
+def test_a_deleted_recording_is_no_damage(
+    place: ServiceSettings, custody: httpx.Client, answered: dict[str, Any], tmp_path: Path
+) -> None:
+    file = tmp_path / "report.html"
+    file.write_bytes(custody.get(f"{API}/diagnoses/{answered['id']}/report?format=html").raise_for_status().content)
+    path = file_of(place, custody, answered["measurement"])
+    content = path.read_bytes()
+    custody.delete(f"{API}/measurements/{answered['measurement']}", params={"why": "old"}).raise_for_status()
+    try:
+        assert not path.exists()
+        found = verified(custody, answered)
+        assert (found["verified"], found["repeated"]) == (False, "not_repeated")
+        assert found["recordings"][0]["state"] == "deleted" and "was deleted at" in found["said"]
+        counted = json.loads(at_prompt(place, "--repeat", "1", "--json").stdout)
+        looked = counted["looked_at"]
+        assert (counted["sound"], looked["repeated"], looked["not_repeated"]) == (True, 0, 1)
+        assert at_prompt(place, "--report", file).stdout == f"{file}: in order\n"
+    finally:
+        assert send(custody, content, "worn.csv").json()["id"] == answered["measurement"]
+
+
+@pytest.mark.parametrize(
+    ("error", "state", "code"),
+    [
+        (DeletedError("catalogue slider-crank: was deleted at noon"), "deleted", 0),
+        (UnknownCatalogueError("there is none"), "missing", 1),
+        (DamagedCatalogueError("is damaged"), "damaged", 1),
+    ],
+)
+def test_a_catalogue_that_cannot_be_had_is_told_by_why(
+    place: ServiceSettings,
+    custody: httpx.Client,
+    answered: dict[str, Any],
+    monkeypatch: pytest.MonkeyPatch,
+    error: AppError,
+    state: str,
+    code: int,
+) -> None:
+    def find(_shelf: CatalogueShelf, _name: str) -> None:
+        raise error
+
+    monkeypatch.setattr(CatalogueShelf, "find", find)
+    found = verified(custody, answered)
+    assert (found["catalogue"]["state"], found["repeated"]) == (state, "not_repeated")
+    result = at_prompt(place, "--repeat", "1")
+    assert (result.exit_code, result.stdout.startswith(f"diagnosis {answered['id']}: cannot be")) == (code, bool(code))
+    assert ("1 not: their recordings" in result.stdout) is not bool(code)
+
+
 def test_who_did_what_can_be_asked_and_exported(
     place: ServiceSettings, custody: httpx.Client, answered: dict[str, Any], tmp_path: Path
 ) -> None:
@@ -219,6 +271,28 @@ def test_what_is_looked_through_in_the_background_is_counted(tmp_path: Path, wor
         asyncio.run(Scrubber(store, metrics, rate=1e9).look())
         assert b'jointplay_damaged{kind="recording"} 1.0' in metrics.text()
         assert b"jointplay_scrubbed_bytes_total" in metrics.text()
+
+
+def test_a_look_that_broke_off_is_begun_again_soon(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pauses: list[float] = []
+    outcomes: list[Exception | None] = [OperationalError("SELECT", {}, Exception("gone")), ValueError("odd"), None]
+
+    async def sleep(seconds: float) -> None:
+        pauses.append(seconds)
+        if len(pauses) == 4:
+            raise asyncio.CancelledError
+
+    async def look() -> None:
+        if (error := outcomes[len(pauses) - 1]) is not None:
+            raise error
+
+    with closing(Store(tmp_path)) as store:
+        scrubber = Scrubber(store, Metrics())
+        monkeypatch.setattr(scrubber, "look", look)
+        monkeypatch.setattr(asyncio, "sleep", sleep)
+        with pytest.raises(asyncio.CancelledError):
+            asyncio.run(scrubber.run())
+    assert pauses == [60.0, 300.0, 300.0, 86_400.0]
 
 
 def test_members_that_differ_are_named() -> None:

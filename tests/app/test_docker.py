@@ -116,6 +116,9 @@ def test_the_proxy_alone_is_reached_from_outside_and_believed(compose: dict[str,
     assert services["api"]["environment"]["JOINTPLAY_PROXIES"] == address
     (own,) = compose["networks"]["front"]["ipam"]["config"]
     assert ipaddress.ip_address(address) in ipaddress.ip_network(own["subnet"])
+    # Whoever starts before the proxy is given no address that is its own.
+    assert ipaddress.ip_network(own["ip_range"]).subnet_of(ipaddress.ip_network(own["subnet"]))
+    assert ipaddress.ip_address(address) not in ipaddress.ip_network(own["ip_range"])
     assert compose["networks"]["back"] == {"internal": True}
     assert {name for name, each in services.items() if "front" in each["networks"]} == {"proxy", "api", "grafana"}
     assert services["proxy"]["environment"]["JOINTPLAY_SITE"] in services["api"]["environment"]["JOINTPLAY_HOSTS"]

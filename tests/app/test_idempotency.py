@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import threading
+from collections.abc import Awaitable, Callable
 from datetime import timedelta
 from typing import Any
 
 import httpx
 import pytest
+from sqlalchemy.exc import OperationalError
 from starlette.requests import Request
 from starlette.responses import Response
 
@@ -77,6 +80,32 @@ def test_a_failure_frees_the_key(store: Store) -> None:
         ask(store, fails)
     assert ask(store, Work(422)).status_code == 422
     assert ask(store, Work()).status_code == 201
+
+
+def test_a_key_that_cannot_be_freed_hides_no_failure_and_holds_nobody_up(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    threads: list[threading.Thread] = []
+
+    def fail(*_given: object) -> None:
+        threads.append(threading.current_thread())
+        raise OperationalError("DELETE", {}, Exception("the database is gone"))
+
+    def failing(error: BaseException) -> Callable[[], Awaitable[Response]]:
+        async def act() -> Response:
+            raise error
+
+        return act
+
+    monkeypatch.setattr(jointplay.app.storage.idempotency, "settle", fail)
+    with pytest.raises(KeyReusedError, match="why it failed"):
+        ask(store, failing(KeyReusedError("why it failed")))
+    with pytest.raises(asyncio.CancelledError):
+        ask(store, failing(asyncio.CancelledError()), key="other")
+    here = threading.current_thread()
+    assert [thread is here for thread in threads] == [False, True], (
+        "other requests go on while the database is waited for"
+    )
 
 
 def test_keys_end(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:

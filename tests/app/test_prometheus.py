@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from datetime import timedelta
 from pathlib import Path
+from typing import Any
+from unittest import mock
 
 import httpx
 import psutil
 import pytest
+from cachetools import TTLCache
 from prometheus_client import Metric
 from prometheus_client.parser import text_string_to_metric_families
 from small_service import asking, running, spoiled
@@ -15,6 +18,7 @@ from sqlalchemy import event
 from sqlalchemy.exc import OperationalError
 from webhook_listener import listening, tell
 
+from jointplay.app.http import stored
 from jointplay.app.jobs.webhook_sender import WebhookSender
 from jointplay.app.main import create_app
 from jointplay.app.metrics import Metrics
@@ -134,6 +138,23 @@ def test_a_database_that_is_gone_is_counted_as_such(tmp_path: Path) -> None:
         found = asked(client)
     assert value(found, "database_up") == 0
     assert "jointplay_builds" not in found
+
+
+def test_what_is_stored_is_kept_by_one_thread_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Guarded(TTLCache[str, Any]):
+        def __getitem__(self, name: str) -> Any:
+            assert kept._lock.locked()
+            return super().__getitem__(name)
+
+        def __setitem__(self, name: str, usage: Any, *more: Any) -> None:
+            assert kept._lock.locked()
+            super().__setitem__(name, usage, *more)
+
+    measured = iter(["once", "twice"])
+    monkeypatch.setattr(stored, "measure", lambda _store: next(measured))
+    kept = stored.Stored(mock.Mock())
+    kept._kept = Guarded(1, 60.0)
+    assert [kept._usage(), kept._usage()] == ["once", "once"]
 
 
 def test_attempts_of_webhooks_are_counted(tmp_path: Path) -> None:

@@ -143,6 +143,18 @@ def test_a_person_may_what_their_groups_may(behind: tuple[str, Keys], caplog: py
     assert ask(service, PROXY, person("")).status_code == 401
 
 
+def test_what_a_person_does_bears_their_name(behind: tuple[str, Keys]) -> None:
+    service, _ = behind
+    headers = [*person("karl", "fitters"), ("Origin", service)]
+    place, asset = f"{API}/assets/press-8", {"machine": "slider-crank"}
+    assert ask(service, PROXY, headers, place, method="PUT", json=asset).json()["made_by"] == "karl"
+    chief = [*person("lena", "chiefs"), ("Origin", service)]
+    assert ask(service, PROXY, chief, f"{place}?why=sold", method="DELETE").status_code == 204
+    assert "by lena: sold" in ask(service, PROXY, person("karl"), place).json()["detail"]
+    noted = ask(service, PROXY, chief, f"{API}/audit?kind=asset&object=press-8").json()["items"]
+    assert [(each["person"], each["key"]) for each in noted] == [("lena", None), ("karl", None)]
+
+
 def test_a_person_hands_out_no_more_than_they_have(behind: tuple[str, Keys]) -> None:
     service, _ = behind
     headers = [*person("gina", "chiefs"), ("Origin", service)]

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any, cast
 
 import httpx
 import psutil
 import pytest
 from service_process import ServiceProcess, client_of, service_process
 from small_service import PLAN
+
+from jointplay.app.jobs import housekeeper
+from jointplay.app.storage.pruning import Pruner
 
 API = "/api/v1"
 BUILD = {"machine": "slider-crank", "plan": PLAN, "catalogue": "made"}
@@ -100,3 +105,25 @@ def test_a_build_is_given_back(folder: Path) -> None:
     with service_process(folder, builds="0") as running, client_of(running) as client:
         found = client.get(place).json()
     assert (found["state"], found["attempts"]) == ("queued", 0)
+
+
+def test_a_transaction_that_lasts_does_not_keep_the_server_from_ending(monkeypatch: pytest.MonkeyPatch) -> None:
+    begun, over = threading.Event(), threading.Event()
+
+    class Slow:
+        def prune(self) -> Iterator[Any]:
+            begun.set()
+            over.wait(300)
+            yield from ()
+
+    monkeypatch.setattr(housekeeper, "CLOSE_S", 0.05)
+    keeper = housekeeper.Housekeeper(cast(Pruner, Slow()))
+    keeper.start()
+    assert begun.wait(300)
+    closing_it = threading.Thread(target=keeper.close)
+    closing_it.start()
+    closing_it.join(60)
+    ended = not closing_it.is_alive()
+    over.set()
+    closing_it.join()
+    assert ended

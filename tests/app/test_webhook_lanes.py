@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import socket
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from datetime import timedelta
 from pathlib import Path
+from typing import Any
 
 import httpx
 import pytest
@@ -19,6 +21,7 @@ from jointplay.app.jobs import webhook_sender
 from jointplay.app.jobs.webhook_sender import WebhookSender
 from jointplay.app.settings import ServiceSettings
 from jointplay.app.storage import webhooks as rows
+from jointplay.app.storage.audit import AuditLog
 from jointplay.app.storage.rows import now
 from jointplay.app.storage.store import Store
 from jointplay.app.storage.webhooks import GIVEN_UP_AFTER, Webhooks
@@ -59,6 +62,37 @@ def test_who_does_not_answer_holds_nobody_up(webhooks: Webhooks, listener: Liste
     assert good.id not in webhooks.troubles([good.id])
 
 
+def test_nothing_that_goes_wrong_ends_the_sender(
+    webhooks: Webhooks, listener: Listener, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    webhooks.add(listener.url, EVENTS)
+    tell(webhooks)
+    take, start, failures = webhooks.take, threading.Thread.start, iter([True])
+
+    def fail_once(*given: Any, **more: Any) -> Any:
+        if next(failures, False):
+            raise ValueError("a row that nobody foresaw")
+        return take(*given, **more)
+
+    def start_once(thread: threading.Thread) -> None:
+        if thread.name.startswith("webhook-") and next(refused, False):
+            raise RuntimeError("can't start new thread")
+        start(thread)
+
+    refused = iter([True])
+    monkeypatch.setattr(webhooks, "take", fail_once)
+    monkeypatch.setattr(webhook_sender, "PAUSE_S", 0.01)
+    monkeypatch.setattr(rows, "LEASE", timedelta(0))  # what could not be begun is due again at once
+    monkeypatch.setattr(threading.Thread, "start", start_once)
+    sender = WebhookSender(webhooks, private=True)
+    sender.start()
+    try:
+        assert listener.told.get(timeout=60).headers["jointplay-event"] == "finding.created"
+    finally:
+        sender.close()
+    assert next(refused, None) is None and not sender._busy
+
+
 def test_a_webhook_gets_one_delivery_at_a_time_and_troubled_ones_come_last(webhooks: Webhooks) -> None:
     bad, good = webhooks.add("http://127.0.0.1:9/", EVENTS), webhooks.add("http://127.0.0.1:10/", EVENTS)
     for _ in range(2):
@@ -96,6 +130,7 @@ def test_what_fails_for_days_is_disabled_and_others_hear_of_it(webhooks: Webhook
     assert webhooks.settle(taken, end, "nobody at all") is True
     trouble = webhooks.troubles([hook.id])[hook.id]
     assert (trouble.error, trouble.disabled_at) == ("nobody at all", end)
+    assert [row.action for row in AuditLog(webhooks._database).page(None, 10, object=hook.id)] == ["disabled", "made"]
     assert {row.state for row in webhooks.deliveries(hook.id, None, 10)} == {"failed"}
     (told,) = webhooks.deliveries(other.id, None, 10)
     assert (told.event, hook.id in told.body, "nobody at all" in told.body) == ("webhook.disabled", True, True)
@@ -110,6 +145,8 @@ def test_what_fails_for_days_is_disabled_and_others_hear_of_it(webhooks: Webhook
     assert taken is not None and taken.id == tried.id and taken.is_last
     webhooks.settle(taken, now())
     assert webhooks.troubles([hook.id]) == {}
+    (enabled, *_) = AuditLog(webhooks._database).page(None, 1)
+    assert (enabled.action, enabled.object) == ("enabled", hook.id)
 
 
 def test_what_was_given_up_is_delivered_again_on_request(webhooks: Webhooks, listener: Listener) -> None:
