@@ -104,4 +104,5 @@ def test_every_link_leads_to_an_operation_that_takes_it(document: dict[str, Any]
     acknowledged = "/api/v1/assets/{external_id}/acknowledgement"
     retention = "/api/v1/measurements/{key}/retention"
     put = {"/api/v1/machines/{name}", "/api/v1/assets/{external_id}", acknowledged, ASSET_MEASUREMENT, retention}
-    assert known == put
+    # A delivery is asked for in its list alone.
+    assert known == put | {"/api/v1/webhooks/{key}/deliveries/{delivery}/redelivery"}
