@@ -135,6 +135,7 @@ def seeded(address: str, folder: Path) -> Path:
             examples.DIAGNOSIS: unfound,
             examples.FINDING: finding,
             examples.BUILD: build,
+            examples.WEBHOOK: made("POST", "/webhooks", json={"url": "https://hooks.example/", "events": event}),
             asset: "spare",
             "slider-crank": SPARE,
         }
@@ -157,7 +158,7 @@ def seeded(address: str, folder: Path) -> Path:
 
 def takes_away(method: str, path: str) -> bool:
     """Return whether an operation deletes something for good, or lets it be deleted."""
-    deletes = method == "delete" and not path.endswith(("/acknowledgement", "/webhooks/{key}", "/machines/{name}"))
+    deletes = method == "delete" and not path.endswith(("/acknowledgement", "/machines/{name}"))
     return deletes or (method == "put" and path.endswith("/retention"))
 
 

@@ -201,7 +201,7 @@ class Webhooks:
             session.delete(row)
             note(session, "deleted", "webhook", key, before=about_webhook(row))
             # An answer that is kept has the secret, and says of a webhook that it is there.
-            idempotency.forget(session, place_of(key))
+            idempotency.forget(session, [place_of(key)])
 
     def deliveries(self, key: str, before: int | None, limit: int) -> list[DeliveryRow]:
         """Return what a webhook was told and is to be told, the newest first."""

@@ -115,7 +115,7 @@ class ExampleService:
         }
         self._stack = ExitStack()
         enter = self._stack.enter_context
-        enter(mock.patch.object(WebhookSender, "step", return_value=False))  # nobody is told of examples
+        enter(mock.patch.object(WebhookSender, "_begin", return_value=False))  # nobody is told of examples
         enter(mock.patch.object(StandingKeeper, "step", return_value=False))  # at some moment of its own
         self.client = enter(httpx.Client(base_url=enter(serving(ServiceSettings(**settings, keys="off"))), timeout=300))
         locked = ServiceSettings(**{**settings, "data": data / "locked"}, keys="required")

@@ -87,7 +87,8 @@ def test_the_recording_is_read_once(shelf: Path, tmp_path: Path, worn: bytes, mo
     stored = service.store.measurement(row.measurement)
     again = tasks.summarise(str(service.store.path_of(stored.sha256)), "worn.csv", Told())
     assert {**stored.summary, "measured_at": None} == again  # when it was measured has columns of its own
-    again = asyncio.run(service.diagnose(DiagnosisRequest.model_validate(row.request)))
+    asked = {name: value for name, value in row.request.items() if name in DiagnosisRequest.model_fields}
+    again = asyncio.run(service.diagnose(DiagnosisRequest.model_validate(asked)))
     assert (again.id, again.result) == (row.id, row.result)
 
 

@@ -159,10 +159,11 @@ def test_damage_of_a_database_is_a_named_problem(tmp_path: Path) -> None:
     settings = ServiceSettings(catalogues=tmp_path / "none", data=tmp_path / "data", workers=1, builds=0)
     file = tmp_path / "data/service.sqlite"
     with asking(settings) as client:
-        assert client.put(f"{API}/assets/a", json=ASSET).status_code == 201
+        hook = client.post(f"{API}/webhooks", json={"url": "https://hooks.example/", "events": ["build.ended"]})
+        assert hook.status_code == 201
         with closing(sqlite3.connect(file)) as other, other:
-            other.execute("UPDATE assets SET limits_um = '{'")
-        for place in ("assets", "assets/a"):
+            other.execute("UPDATE webhooks SET events = '{'")
+        for place in ("webhooks", f"webhooks/{hook.json()['id']}"):
             answer = client.get(f"{API}/{place}")
             assert (answer.status_code, answer.json()["type"]) == (500, "urn:jointplay:problem:damaged-database")
             assert answer.json()["detail"] == "a row of the database is damaged: a column of it is no JSON"

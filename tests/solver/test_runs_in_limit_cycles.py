@@ -92,7 +92,7 @@ def test_errors_of_harmonics_fall_with_the_tolerance() -> None:
     point = found.recommend(0.1).point
     # The cheapest of those that meet it: which that is, is measured, and 1e-4 and 1e-5 cost nearly the same.
     met = [each for each in found.points if each.worst_db < 0.1]
-    assert len(met) == 4 and point in met
+    assert met[:4] == [*found.points[:4]] and point in met  # by some processors steps of 12 us meet it, too
     assert point.seconds <= 1.2 * min(each.seconds for each in met)
     chaotic = measure(MACHINE, CHAOTIC, rungs=[Settings(rtol=1e-6)])
     assert isinstance(chaotic, TradeOff)
