@@ -149,7 +149,8 @@ def test_who_takes_an_answer_slowly_is_not(monkeypatch: pytest.MonkeyPatch) -> N
     assert not connection.is_stalled(connections.STALL_S + 200)
 
 
-def test_whoever_has_waited_longest_makes_room(pages: Pages) -> None:
+def test_whoever_has_waited_longest_makes_room(pages: Pages, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connections, "HEAD_S", 600.0)  # of no matter here, however slow the computer is
     with running(pages, most=4) as address, contextlib.ExitStack() as stack:
         silent = [stack.enter_context(talking(address)) for _ in range(4)]
         assert httpx.get(f"{address}/quick").text == "here"
@@ -173,7 +174,8 @@ def test_who_has_a_request_does_not(pages: Pages) -> None:
         assert httpx.get(f"{address}/quick").text == "here"
 
 
-def test_one_address_does_not_take_the_place_of_others(pages: Pages) -> None:
+def test_one_address_does_not_take_the_place_of_others(pages: Pages, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connections, "HEAD_S", 600.0)  # of no matter here, however slow the computer is
     with running(pages, most=10, most_of_one=3) as address, contextlib.ExitStack() as stack:
         other = stack.enter_context(talking(address, source="127.0.0.2"))
         silent = [stack.enter_context(talking(address)) for _ in range(5)]
