@@ -136,6 +136,7 @@ def seeded(address: str, folder: Path) -> Path:
             examples.FINDING: finding,
             examples.BUILD: build,
             examples.WEBHOOK: made("POST", "/webhooks", json={"url": "https://hooks.example/", "events": event}),
+            examples.KEY: made("POST", "/keys", json={"name": "spare", "scopes": ["read"]}),
             asset: "spare",
             "slider-crank": SPARE,
         }
@@ -159,7 +160,7 @@ def seeded(address: str, folder: Path) -> Path:
 def takes_away(method: str, path: str) -> bool:
     """Return whether an operation deletes something for good, or lets it be deleted."""
     deletes = method == "delete" and not path.endswith(("/acknowledgement", "/machines/{name}"))
-    return deletes or (method == "put" and path.endswith("/retention"))
+    return deletes or (method == "put" and path.endswith("/retention")) or path.endswith("/keys/{key}/revoke")
 
 
 def copied(catalogues: Path, folder: Path) -> Path:

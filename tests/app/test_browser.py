@@ -263,7 +263,7 @@ def test_a_catalogue_is_browsed(visit: Visit) -> None:
     assert is_within_screen(page)
     page.get_by_role("link", name="slider-crank").click()
     expect(page.locator(".chart canvas")).to_have_count(3, timeout=SECONDS)
-    page.get_by_label("Worn").select_option("B")
+    page.get_by_label("Worn", exact=True).select_option("B")
     page.get_by_label("Radial clearance").fill("none")
     page.get_by_role("button", name="Show").click()
     expect(page.locator("#error-clearance")).to_contain_text("clearance: none")
@@ -350,7 +350,7 @@ def test_without_scripts_from_upload_to_verdict(browser: Browser, server: str, r
         expect(page.get_by_role("button", name="Show one revolution")).to_be_hidden()
         page.get_by_role("link", name="Catalogues").click()
         page.get_by_role("link", name="slider-crank").click()
-        page.get_by_label("Worn").select_option("B")
+        page.get_by_label("Worn", exact=True).select_option("B")
         page.get_by_role("button", name="Show").click()
         expect(page.get_by_role("heading", name=re.compile("^B at .* against a machine in order"))).to_be_visible()
 

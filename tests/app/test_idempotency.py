@@ -168,7 +168,7 @@ def test_an_answer_is_kept_until_what_it_names_is_forgotten(store: Store) -> Non
     work = Work()
     first, other = ask(store, work), ask(store, work, key="other")
     with store.database.writing() as session:
-        forget(session, first.headers["location"])
+        forget(session, [first.headers["location"]])
     assert ask(store, work, key="other").body == other.body
     assert ask(store, work).body == b"number 3"
 

@@ -42,7 +42,7 @@ def test_only_where_files_are_taken_may_a_form_be_as_large_as_one(client: httpx.
 @pytest.mark.parametrize(
     ("method", "path", "allowed"),
     [
-        ("PATCH", "/api/v1/machines/four-bar", "DELETE, GET, PUT"),
+        ("PATCH", "/api/v1/machines/four-bar", "GET, PUT, DELETE"),
         ("PATCH", "/api/v1/diagnoses", "GET, POST"),
         ("POST", "/healthz", "GET"),
         ("POST", "/static/page.css", "GET, HEAD"),
