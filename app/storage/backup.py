@@ -349,6 +349,9 @@ def copy_catalogue(copier: Copier, source: Path, name: str, under: str = "catalo
             before = digest_of(manifest)
             for folder in DERIVED:
                 copy_folder(copier, source / folder, f"{place}/{folder}", name)
+            card = CatalogueDirectory(source).quality
+            if card.is_file():
+                copier.bring(card, f"{place}/{card.name}", "catalogue")
             if digest_of(manifest) == before:
                 copier.bring(manifest, f"{place}/{manifest.name}", "catalogue")
                 return name
