@@ -103,7 +103,8 @@ class Connections:
         """
         if len(self) < self._most:
             return True
-        self._make_room()
+        if not self._leaving:
+            self._make_room()
         if self._leaving or self._arriving or any(each.has_sent_all for each in self._waiting):
             raise BlockingIOError
         return False
@@ -126,7 +127,9 @@ class Connections:
         """Take note that a connection can be talked over; one too many of its address costs that the oldest waiting."""
         connection.accepted = self._arriving.pop(connection.transport.get_extra_info("socket").fileno())
         self.wait(connection, moment)
-        if self._open[connection.address] > self._most_of_one:
+        # Those that leave are counted until their sockets are closed, which of many at once is after all have begun.
+        leaving = sum(each.address == connection.address for each in self._leaving)
+        if self._open[connection.address] - leaving > self._most_of_one:
             self._make_room(connection.address)
 
     def wait(self, connection: Connection, moment: float) -> None:

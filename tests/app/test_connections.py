@@ -185,6 +185,33 @@ def test_one_address_does_not_take_the_place_of_others(pages: Pages, monkeypatch
         assert is_open(other)
 
 
+def test_of_many_at_once_of_one_address_only_those_too_many_leave() -> None:
+    class Waiting:
+        address, has_sent_all, has_more, accepted = "127.0.0.1", True, False, None
+
+        def __init__(self, place: int, accepted: socket.socket) -> None:
+            self.place, self.socket, self.transport = place, accepted, self
+
+        def get_extra_info(self, _name: str) -> socket.socket:
+            return self.socket
+
+        def abort(self) -> None:
+            left.append(self.place)
+
+    left: list[int] = []
+    with contextlib.ExitStack() as stack:
+        known = Connections(most=10, most_of_one=3)
+        ends = [pair for _ in range(5) for pair in [socket.socketpair()]]
+        arrived = [known.accepted(stack.enter_context(near), "127.0.0.1") for near, _ in ends]
+        for place, each in enumerate(arrived):  # all are accepted before the first is closed
+            known.begin(cast(Any, Waiting(place, each)), float(place))
+        assert left == [0, 1]
+        for each, (_, far) in zip(arrived, ends, strict=True):
+            each.close()
+            far.close()
+    assert len(known) == 0
+
+
 def test_a_rush_never_takes_more_places_than_there_are(pages: Pages, monkeypatch: pytest.MonkeyPatch) -> None:
     counts = []
     accepted = Connections.accepted
