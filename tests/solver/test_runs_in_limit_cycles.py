@@ -92,7 +92,9 @@ def test_errors_of_harmonics_fall_with_the_tolerance() -> None:
     point = found.recommend(0.1).point
     # The cheapest of those that meet it: which that is, is measured, and 1e-4 and 1e-5 cost nearly the same.
     met = [each for each in found.points if each.worst_db < 0.1]
-    assert met[:4] == [*found.points[:4]] and point in met  # by some processors steps of 12 us meet it, too
+    # At the ends it depends on the processor's roundings: at 1e-4 worst of starts is 0.04 dB or, where one start ends
+    # on a slightly other cycle, 0.18; steps of 12 us give 0.06 to 0.14.
+    assert all(each in met for each in found.points[1:4]) and point in met
     assert point.seconds <= 1.2 * min(each.seconds for each in met)
     chaotic = measure(MACHINE, CHAOTIC, rungs=[Settings(rtol=1e-6)])
     assert isinstance(chaotic, TradeOff)
