@@ -291,9 +291,9 @@ class Clients:
         for key, sha256 in self.measurements.items():
             if there.get(key, {}).get("sha256") != sha256:
                 yield f"measurement {key}: lost"
-        for key, count in Counter((each["sha256"], each["name"]) for each in there.values()).items():
+        for file, count in Counter((each["sha256"], each["name"]) for each in there.values()).items():
             if count > 1:
-                yield f"measurement {key}: {count} times"
+                yield f"measurement {file}: {count} times"
         if unasked := there.keys() - self.measurements.keys():
             yield f"measurements that nobody got acknowledged: {unasked}"
         assets = {each["external_id"]: each["notes"] for each in self.listed("assets")}
