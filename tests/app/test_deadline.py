@@ -52,8 +52,8 @@ def test_a_disk_that_gives_nothing_ends_a_request_at_its_limit(tmp_path: Path, m
 def test_what_is_stored_after_the_answer_is_stored_once(
     tmp_path: Path, worn: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    held, stored = threading.Event(), []
-    store = Store.add_measurement
+    held, store = threading.Event(), Store.add_measurement
+    stored: list[Any] = []
 
     def slow(self: Store, *given: Any) -> Any:
         if not stored:
