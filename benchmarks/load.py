@@ -177,7 +177,8 @@ async def measure(options: argparse.Namespace, pid: int, port: int, data: Path) 
     async def watch() -> None:
         while True:
             await asyncio.sleep(10)
-            held.append((resident(pid), descriptors(pid), await asyncio.to_thread(occupied, data)))
+            with suppress(FileNotFoundError, ProcessLookupError):  # a reader or worker has ended meanwhile
+                held.append((resident(pid), descriptors(pid), await asyncio.to_thread(occupied, data)))
             loads.append(os.getloadavg()[0])
             memory, opened, disk = held[-1]
             print(

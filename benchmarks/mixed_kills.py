@@ -14,6 +14,7 @@ import itertools
 import json
 import os
 import random
+import re
 import secrets
 import shutil
 import signal
@@ -84,17 +85,22 @@ class Postgres:
             "-c",
             "listen_addresses=127.0.0.1",
         ]
-        for _ in range(100):
+        until = time.monotonic() + PATIENCE_S
+        while time.monotonic() < until:  # the memory that those of before share is in the way until all have ended
             self.process = subprocess.Popen(
                 [str(self.programs / "postgres"), *options],
                 stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, text=True, cwd="/", **self._user,
             )  # fmt: skip
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                self.process.wait(1.0)
+            while self.process.poll() is None:
+                if self._answers():
+                    return
                 time.sleep(0.2)
-                continue
-            return
         raise RuntimeError("PostgreSQL does not start")
+
+    def _answers(self) -> bool:
+        assert self.programs is not None
+        asked = [str(self.programs / "pg_isready"), "-q", "-h", "127.0.0.1", "-p", str(self._port)]
+        return subprocess.run(asked, check=False).returncode == 0
 
     def kill(self) -> None:
         """Kill the process of all others, which then end; and start again."""
@@ -217,6 +223,8 @@ class Clients:
                     found: dict[str, Any] = answer.json()
                     return found
                 said = f"{answer.status_code} {answer.text[:300]}"
+                if answer.status_code == 500 and "worker-died" not in said:
+                    print(f"  {method} {path}: {said}", flush=True)
                 if answer.status_code not in BROKEN:
                     break
                 self.again[str(answer.status_code)] += 1
@@ -366,14 +374,18 @@ def main() -> None:
             )
             if checked.returncode:
                 wrong.append(f"verify --data: {checked.stdout[-1000:]} {checked.stderr[-1000:]}")
-            traces = (folder / "log").read_text().count("Traceback")
+            log = (folder / "log").read_text()
         counts = [f"{len(getattr(clients, what))} {what}" for what in ("measurements", "assets", "diagnoses", "builds")]
         kind = "PostgreSQL" if installation.postgres.url else "SQLite"
         print(
             f"{killed.total()} kills ({', '.join(f'{count} {each}' for each, count in sorted(killed.items()))}; {kind})"
             f" in {time.monotonic() - began:.0f} s: {clients.acknowledged} acknowledged writes ({', '.join(counts)}),"
-            f" sent again {json.dumps(clients.again)}, {traces} tracebacks in the log, {len(wrong)} wrong"
+            f" sent again {json.dumps(clients.again)}, {len(wrong)} wrong; tracebacks in the log:"
         )
+        for ending, count in Counter(
+            re.findall(r"^Traceback .*\n(?:[ ].*\n|\n)*(.{1,160})", log, re.MULTILINE)
+        ).most_common(12):
+            print(f"  {count} times {ending}")
         if wrong:
             sys.exit("\n".join(wrong[:50]))
 
