@@ -43,6 +43,9 @@ SEARCHED = 5
 #: where one of the starts is no more than so much less likely (ln) than no change: half of the time of a recording of a
 #: machine as filed, and the answers to eighteen of machines that had changed were the same without it.
 HOPELESS = 5.0
+#: Nor where that holds even of this part of what the start leaves, beside no change of machines that explain more: a
+#: search leaves 0.3 of its start or more (47 recordings of slider-cranks, whatever was the matter with them).
+SEARCH_LEAVES = 0.1
 #: Evidence (ln) that is the same, as near as searches end: on a guide, a force on one stroke cannot be told from the
 #: opposite one on the other, and the first of the two is told.
 SAME = 0.01
@@ -117,10 +120,12 @@ def name_causes(
     has_tolerances = any(path.startswith(("frame.", "supports.", f"links.{machine.frame}.")) for path in drawn)
     least = LEAST_GAIN if has_tolerances else LEAST_GAIN_EXACT
     scored: list[_Scored] = []
-    for label, rows in (("healthy", None), *worn):
+    # Worn machines first: what they explain by themselves need not be searched for among changes of those in order.
+    for label, rows in (*worn, ("healthy", None)):
         known = class_statistics(catalogue, levels, label, rows)
         if known is not None:
-            scored += _score(known, model, families, least)
+            beside = min((-2.0 * TEMPERATURE * each.evidence for each in scored if not each.family), default=math.inf)
+            scored = [*_score(known, model, families, least, beside=beside), *scored]
     best = max(scored, key=lambda each: each.evidence, default=None)
     return () if best is not None and best.is_small and not small else _rank(scored)
 
@@ -172,10 +177,17 @@ class _Scored:
 
 
 def _score(
-    known: LevelStatistics, model: IdealFrame, families: Sequence[Family], least_gain: float, *, since: bool = False
+    known: LevelStatistics,
+    model: IdealFrame,
+    families: Sequence[Family],
+    least_gain: float,
+    *,
+    since: bool = False,
+    beside: float = math.inf,
 ) -> Iterator[_Scored]:
     """Score every family, and no change at all, for some machines of the catalogue, or for one beside its past.
 
+    Nothing is searched where machines that were scored before, with no change at all, are so much nearer (`beside`).
     Where scatter is so small, what is not known of any change would speak for every family: a change of nothing that
     the ideal machine knows counts as no change then.
     """
@@ -191,7 +203,8 @@ def _score(
         best = int(np.argmin(values))
         starts.append((float(values[best]), family, family.starts[best]))
     starts.sort(key=lambda start: round(start[0] / SAME))
-    if starts[0][0] > none + 2.0 * TEMPERATURE * HOPELESS:
+    least, hopeless = starts[0][0], 2.0 * TEMPERATURE * HOPELESS
+    if least > none + hopeless or SEARCH_LEAVES * least > beside + hopeless:
         return
     chosen = [family for _, family, _ in starts[:SEARCHED]]
 

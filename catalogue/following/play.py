@@ -167,20 +167,16 @@ def let_pass(belief: FloatArray, seconds: float) -> FloatArray:
         return belief
     change = 1.0 - math.exp(-CHANGES * seconds)
     mixed = (1.0 - change) * belief + change * LIKELY_RATES[:, None] * belief.sum(axis=-2, keepdims=True)
-    later: FloatArray = np.zeros(mixed.shape)
-    size = len(AXIS)
-    places = np.arange(size)
-    for s, rate in enumerate(RATES):
-        reached = np.log(np.exp(AXIS) + rate * seconds)
-        place = np.clip((reached - AXIS[0]) / STEP, places, size - 1.0)  # never back by a rounding
-        cell = np.minimum(place.astype(np.int64), size - 2)
-        part = place - cell
-        move = csr_array(
-            (np.concatenate([1.0 - part, part]), (np.tile(places, 2), np.concatenate([cell, cell + 1]))),
-            shape=(size, size),
-        )
-        later[..., s, :] = (mixed[..., s, :].reshape(-1, size) @ move).reshape(mixed[..., s, :].shape)
-    return later
+    size, places = len(AXIS), np.arange(len(AXIS))
+    reached = np.log(np.exp(AXIS) + RATES[:, None] * seconds)
+    place = np.clip((reached - AXIS[0]) / STEP, places, size - 1.0)  # never back by a rounding
+    cell = np.minimum(place.astype(np.int64), size - 2)
+    part = place - cell
+    # Of every rate and clearance (S X): the two next to where it is then, at the same rate.
+    there = cell + size * np.arange(len(RATES))[:, None]
+    share, column = np.stack([1.0 - part, part], axis=-1), np.stack([there, there + 1], axis=-1)
+    move = csr_array((share.ravel(), column.ravel(), np.arange(0, share.size + 1, 2)), shape=(there.size, there.size))
+    return np.ascontiguousarray(mixed.reshape(-1, there.size) @ move).reshape(mixed.shape)
 
 
 def quantiles(marginal: FloatArray, shares: FloatArray, blur: float = 0.0) -> FloatArray:

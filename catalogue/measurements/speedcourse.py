@@ -7,6 +7,7 @@ what stands out in each, the course is the one that holds together best.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +21,8 @@ from jointplay.solver.arrays import FloatArray
 #: recording at most. With windows of four revolutions some show nothing, with eight orders speeds are twice as far off.
 WINDOW_REVOLUTIONS, HOP_REVOLUTIONS = 6.0, 2.0
 MOST_WINDOWS = 300
-#: Changes of the speed within a window that are tried, relative.
+#: Changes of the speed within a window that are tried, relative; none where all windows as they are show speeds that
+#: differ by no more than the first of them: that is most recordings.
 CHANGES = (0.0, 0.02, -0.02, 0.04, -0.04, 0.08, -0.08)
 #: Distance of the speeds that are tried, relative: eight to a line of the highest order in the comb.
 STEP = 1.0 / (8.0 * TRACKED_ORDERS * WINDOW_REVOLUTIONS)
@@ -75,16 +77,24 @@ def find_course(signal: npt.ArrayLike, sample_rate: float, low: float, high: flo
     starts = np.unique(np.linspace(0, len(kept) - length, count).round().astype(np.intp))
     tried = low * np.exp(STEP * np.arange(math.ceil(math.log(high / low) / STEP) + 1))
     blocks = np.array_split(starts, math.ceil(len(starts) / AT_A_TIME))
-    contrast, of_low = np.hstack([_contrasts(kept, rate, block, length, tried) for block in blocks])
-    path = _likeliest_path(contrast)
-    # A quiet machine shows its low orders only; all of them say the speed twice as well.
-    clear = np.maximum(contrast, of_low)[np.arange(len(starts)), path] >= COMB_CONTRAST_DB
+    for changes in (CHANGES[:1], CHANGES):
+        contrast, of_low = np.hstack([_contrasts(kept, rate, block, length, tried, changes) for block in blocks])
+        path = _likeliest_path(contrast)
+        # A quiet machine shows its low orders only; all of them say the speed twice as well.
+        clear = np.maximum(contrast, of_low)[np.arange(len(starts)), path] >= COMB_CONTRAST_DB
+        if clear.all() and STEP * float(np.ptp(path)) <= CHANGES[1]:
+            break
     middle = (starts + 0.5 * (length - 1)) / rate
     return SpeedCourse(np.asarray(middle, dtype=np.float64), np.where(clear, tried[path], np.nan))
 
 
 def _contrasts(
-    kept: FloatArray, rate: float, starts: npt.NDArray[np.intp], length: int, tried: FloatArray
+    kept: FloatArray,
+    rate: float,
+    starts: npt.NDArray[np.intp],
+    length: int,
+    tried: FloatArray,
+    changes: Sequence[float],
 ) -> FloatArray:
     """How far all and the low orders of each speed stand out (2, w, s) in each window, dB, by the best change."""
     orders = np.arange(1, TRACKED_ORDERS + 1)
@@ -96,7 +106,7 @@ def _contrasts(
     best = np.full((2, len(starts), len(tried)), -np.inf)
     # Of -1 to 1 in a window: the angle by a change a is u + a (u^2 - 1) / 4, evenly sampled in it.
     even = np.linspace(-1.0, 1.0, length)
-    for change in CHANGES:
+    for change in changes:
         at = even if change == 0.0 else (np.sqrt(1.0 + change * (even + 0.25 * change)) - 1.0) * 2.0 / change
         place = np.clip(0.5 * (at + 1.0) * (length - 1), 0.0, length - 1.0)
         before = np.minimum(place.astype(np.intp), length - 2)

@@ -111,6 +111,8 @@ def cut_by_speed(
     if np.count_nonzero(np.isfinite(course.speed)) < 2:
         return Cut((recording,))
     time, speed = _looked_at(course, recording.duration, float(stored[-1]))
+    if np.abs(speed / np.median(speed) - 1.0).max() <= COVERED:
+        return Cut((recording,))  # one piece, the whole: most recordings
     nearest = np.abs(np.log(stored[:, None] / speed)).argmin(axis=0)
     nearest[~(np.abs(speed / stored[nearest] - 1.0) <= SEARCH_RANGE)] = -1
     followed: BoolArray | None = None

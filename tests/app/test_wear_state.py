@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
 from http_answers import API, assert_problem
 from recordings import RECORDINGS
+from service_process import client_of, service_process
 
 ASSET = "crank-that-wears"
 
@@ -78,6 +81,22 @@ def test_recordings_that_have_several_answers_together_count_in_the_newest(clien
         body = {"measurements": together, "catalogue": "slider-crank", "asset": asset, "effort": "fast"}
         assert client.post(f"{API}/diagnoses", json=body).status_code == 201
     assert state_of(client, asset)["visits"] == 1
+
+
+def test_two_servers_say_the_same_to_the_last_bit(shelf: Path, tmp_path: Path) -> None:
+    (tmp_path / "catalogues").symlink_to(shelf)
+    with ExitStack() as stack:
+        options = {"builds": "0", "keys": "off"}
+        both = [client_of(stack.enter_context(service_process(tmp_path, **options))) for _ in range(2)]
+        first, second = (stack.enter_context(each) for each in both)
+        first.put(f"{API}/assets/{ASSET}", json={"machine": "slider-crank"}).raise_for_status()
+        keys = [diagnose(each, number)["measurement"] for each, number in ((first, 2), (second, 5), (first, 3))]
+        body = {"measurements": keys, "catalogue": "slider-crank", "effort": "standard"}
+        one, other = (each.post(f"{API}/diagnoses", json=body).json() for each in (first, second))
+        assert one["verdict"] and one == {**other, "id": one["id"], "created_at": one["created_at"]}
+        states = [each.get(f"{API}/assets/{ASSET}/state") for each in (first, second)]
+        assert states[0].json()["visits"] == 3
+        assert (states[0].content, states[0].headers["ETag"]) == (states[1].content, states[1].headers["ETag"])
 
 
 def test_the_page_shows_it(client: httpx.Client, answers: list[dict[str, Any]]) -> None:

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from jointplay.catalogue.diagnosing.causes import NamedCause, name_causes
+from jointplay.catalogue.diagnosing import causes
+from jointplay.catalogue.diagnosing.causes import NamedCause, least_of, name_causes
 from jointplay.catalogue.matching.model_library import one_thread
 from jointplay.catalogue.measurements.measurement import Channel, Recording
 from jointplay.catalogue.signals.features import prepare
@@ -169,17 +170,39 @@ def test_a_ripple_is_named_whatever_its_phase(small_catalogue: Catalogue) -> Non
     assert found.size == pytest.approx(3e-3, rel=0.5)
 
 
-def test_a_cause_is_named_beside_wear(small_catalogue: Catalogue) -> None:
-    measured = recording(factors(mount0=0.5), {"B": 300e-6})
-    prepared = prepare(measured, small_catalogue.machine, None, SPEED, small_catalogue.scheme)
-    matrix = small_catalogue.matrix
+def beside_wear(change: Change, catalogue: Catalogue) -> tuple[NamedCause, ...]:
+    """What is named where B is worn, as is known."""
+    prepared = prepare(recording(change, clearances={"B": 300e-6}), catalogue.machine, None, SPEED, catalogue.scheme)
+    matrix = catalogue.matrix
     rows = matrix.rows("B", "trusted")
     away = np.abs(np.log(matrix.clearance(rows)[:, matrix.joints.index("B")] / 300e-6))
     near = np.sort(rows[np.argsort(away)[:30]])
     with one_thread():
-        found = name_causes(prepared, small_catalogue, [("B", near)], small=True)
+        return name_causes(prepared, catalogue, [("B", near)], small=True)
+
+
+def test_a_cause_is_named_beside_wear(small_catalogue: Catalogue) -> None:
+    found = beside_wear(factors(mount0=0.5), small_catalogue)
     assert found[0].name == "mount 0"
     assert found[0].size == pytest.approx(0.5, rel=0.2)
+
+
+@pytest.mark.parametrize(("change", "searches"), [(Change(), 0), (factors(mount0=0.5), 2)], ids=["none", "mount"])
+def test_changes_of_machines_in_order_are_not_searched_where_wear_explains_more(
+    change: Change, searches: int, small_catalogue: Catalogue, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls: list[int] = []
+
+    def counted(*asked: Any) -> list[tuple[FloatArray, float]]:
+        calls.append(1)
+        return least_of(*asked)
+
+    monkeypatch.setattr(causes, "least_of", counted)
+    found = beside_wear(change, small_catalogue)
+    assert len(calls) == searches
+    monkeypatch.setattr(causes, "SEARCH_LEAVES", 0.0)
+    assert beside_wear(change, small_catalogue) == found
+    assert len(calls) == searches + max(1, searches)
 
 
 def test_nothing_is_named_where_the_frame_stands_on_more_than_mounts(small_catalogue: Catalogue) -> None:

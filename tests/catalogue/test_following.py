@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import time
 from dataclasses import replace
 from datetime import datetime, timedelta
 
@@ -58,6 +59,17 @@ def test_intervals_hold() -> None:
             count += 1
     assert held > 0.85 * count
     assert foretold > 0.85 * count
+
+
+def test_a_hundred_recordings_take_less_than_a_second() -> None:
+    """Of a processor, so that it does not matter what else runs: 0.3 s on a busy computer."""
+    visits = course_of_wear(wears(100), 1)
+    took = []
+    for _ in range(3):
+        began = time.process_time()
+        followed(visits)
+        took.append(time.process_time() - began)
+    assert min(took) < 1.0
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -12,10 +12,12 @@ from recordings import RECORDINGS, TRUTH
 from jointplay.catalogue.building.build import build
 from jointplay.catalogue.diagnosing.diagnosis import diagnose
 from jointplay.catalogue.diagnosing.together import diagnose_together
+from jointplay.catalogue.measurements import speedcourse
 from jointplay.catalogue.measurements.measurement import Recording, read_measurement
 from jointplay.catalogue.measurements.speedcourse import find_course
 from jointplay.catalogue.measurements.waveform import ChannelFlaw
 from jointplay.catalogue.plans.plan import parse_plan
+from jointplay.catalogue.signals import speedpieces
 from jointplay.catalogue.signals.speedpieces import COVERED, LEAST_REVOLUTIONS, Cut, cut_by_speed, fastest_change
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.cases.case import Case, Settings
@@ -117,6 +119,22 @@ def test_steady_recordings_stay_as_they_are(name: str) -> None:
     assert isinstance(speed, float)
     for speeds in ((speed,), (0.8 * speed, speed, 1.2 * speed)):
         assert cut_by_speed(recording, machine, speeds).pieces == (recording,)
+
+
+@pytest.mark.parametrize(("course", "searches"), [([(0.0, 1.0), (4.0, 1.01)], 1), (UP, 2)], ids=["steady", "up"])
+def test_what_is_steady_is_looked_at_as_it_is_alone(
+    course: Course, searches: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recording, _ = turned(course)
+    looks, cut = [], []
+    contrasts, piece = speedcourse._contrasts, speedpieces._piece
+    monkeypatch.setattr(speedcourse, "_contrasts", lambda *told: looks.append(told[-1]) or contrasts(*told))
+    monkeypatch.setattr(speedpieces, "_piece", lambda *told: cut.append(told) or piece(*told))
+    found = cut_by_speed(recording, MACHINE, SPEEDS)
+    assert len({len(each) for each in looks}) == searches
+    assert (found.pieces == (recording,)) == (not cut) == (searches == 1)
+    monkeypatch.setattr(speedcourse, "CHANGES", (0.0, -1.0e-9, *speedcourse.CHANGES[1:]))  # nothing is as even as that
+    assert len(cut_by_speed(recording, MACHINE, SPEEDS).pieces) == len(found.pieces)
 
 
 def test_steps_are_pieces_once_the_suspension_has_forgotten_them() -> None:
