@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import gzip
 import json
 import os
 import re
@@ -268,12 +269,41 @@ async def gone(options: argparse.Namespace) -> dict[str, Any]:
     return found
 
 
+async def refused(options: argparse.Namespace) -> dict[str, Any]:
+    """521 diagnoses of recordings that are too short, each of another one, by eight clients; what stays of them."""
+    head, *rows = gzip.decompress(RECORDING.read_bytes()).split(b"\n")
+    short = b"\n".join([head, *rows[: len(rows) // 20]])
+    statuses: dict[int, int] = {}
+    with service(options) as attacked:
+        folder = attacked.log.parent
+
+        def kept() -> int:
+            files = [path for path in folder.rglob("*") if path.is_file() and path != attacked.log]
+            return sum(path.stat().st_size for path in files)
+
+        async def ask(client: httpx.AsyncClient, numbers: Iterator[int]) -> None:
+            for number in numbers:
+                sent = {"file": (f"{number}.csv", short + b"\n" * number)}
+                asked = {"catalogue": "slider-crank", "effort": "fast"}
+                answer = await client.post(f"{attacked.address}/api/v1/diagnoses", files=sent, data=asked)
+                statuses[answer.status_code] = statuses.get(answer.status_code, 0) + 1
+                said.add(answer.json()["detail"])
+
+        before, numbers, said = kept(), iter(range(521)), set[str]()
+        async with httpx.AsyncClient(timeout=600) as client:
+            await asyncio.gather(*(ask(client, numbers) for _ in range(8)))
+        left = kept() - before
+    sent_mb = 521 * len(short) / 1e6
+    return {"statuses": statuses, "said": sorted(said)[0], "sent_mb": round(sent_mb, 1), "kept_mb": left / 1e6}
+
+
 ROWS: dict[str, Callable[[argparse.Namespace], Coroutine[Any, Any, dict[str, Any]]]] = {
     "idle": idle,
     "sign-in": sign_in,
     "listeners": listen,
     "fifty": fifty,
     "gone": gone,
+    "refused": refused,
 }
 
 
