@@ -108,6 +108,7 @@ def serving(catalogues: Path, data: Path) -> Iterator[tuple[str, int, int]]:
     command = [sys.executable, "-m", "jointplay.app.cli", "serve", "--no-keys", "--port", "0", "--workers", "1"]
     command += ["--catalogues", str(catalogues), "--data", str(data)]
     told = {"JOINTPLAY_RATE_LIMIT_PER_S": "1e6", "JOINTPLAY_RATE_BURST": "1e6", "JOINTPLAY_BUILDS": "0"}
+    data.mkdir(parents=True, exist_ok=True)
     log = data / "server.log"  # a file, because a pipe that nobody reads fills up
     with log.open("wb") as target:
         server = subprocess.Popen(command, stdout=target, stderr=target, env={**os.environ, **told})

@@ -2,8 +2,9 @@
 
 Server and clients share this computer. Every recording is another one: a shipped one whose samples begin elsewhere,
 under a name of its own, so that no answer can be one that was given before. Printed are the rate, times of answers,
-errors, the memory of the service with its workers, the processor time that a diagnosis takes of server, workers and
-clients, and the load of the computer: others may be working on it, and then the processor time is what counts.
+errors, memory, descriptors and disk of the service with its workers as they go, the processor time that a diagnosis
+takes of server, workers and clients, and the load of the computer: others may be working on it, and then the processor
+time is what counts. ``--seconds 3600`` is an hour's soak.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
@@ -129,6 +130,20 @@ def resident(pid: int) -> int:
     return total + sum(resident(child) for child in children(pid))
 
 
+def descriptors(pid: int) -> int:
+    """Return how many files and sockets a process and all below it have open."""
+    return len(list(Path(f"/proc/{pid}/fd").iterdir())) + sum(map(descriptors, children(pid)))
+
+
+def occupied(folder: Path) -> int:
+    """Return what the files of a folder take on the disk [bytes]; one may vanish meanwhile."""
+    total = 0
+    for path in folder.rglob("*"):
+        with suppress(FileNotFoundError):
+            total += path.stat().st_blocks * 512
+    return total
+
+
 @contextmanager
 def service(catalogues: Path, data: Path, workers: int) -> Iterator[tuple[subprocess.Popen[str], int]]:
     """Start a service in processes of its own; gives it and its port."""
@@ -147,7 +162,7 @@ def service(catalogues: Path, data: Path, workers: int) -> Iterator[tuple[subpro
             process.wait(30)
 
 
-async def measure(options: argparse.Namespace, pid: int, port: int) -> dict[str, object]:
+async def measure(options: argparse.Namespace, pid: int, port: int, data: Path) -> dict[str, object]:
     """Let the clients work and return what they met."""
     contents = bodies(options.columns)
     numbers = itertools.count()
@@ -155,15 +170,21 @@ async def measure(options: argparse.Namespace, pid: int, port: int) -> dict[str,
     warm_until = time.monotonic() + options.warm
     asked = ("127.0.0.1", port, contents, numbers, options.catalogue)
     await asyncio.gather(*(client(*asked, warm_until, before) for _ in range(options.workers)))
-    tally, memory, loads = Tally(), [resident(pid)], []
+    tally, loads = Tally(), []
+    held = [(resident(pid), descriptors(pid), occupied(data))]
     started, spent = time.monotonic(), (*processor_seconds(pid), time.process_time())
 
     async def watch() -> None:
         while True:
             await asyncio.sleep(10)
-            memory.append(resident(pid))
+            held.append((resident(pid), descriptors(pid), await asyncio.to_thread(occupied, data)))
             loads.append(os.getloadavg()[0])
-            print(f"  {len(tally.seconds)} answers, {memory[-1] / 1e6:.0f} MB, load {loads[-1]:.1f}", flush=True)
+            memory, opened, disk = held[-1]
+            print(
+                f"  {len(tally.seconds)} answers, {memory / 1e6:.0f} MB, {opened} descriptors, {disk / 1e6:.0f} MB of"
+                f" disk, load {loads[-1]:.1f}",
+                flush=True,
+            )
 
     watching = asyncio.create_task(watch())
     until = started + options.seconds
@@ -185,7 +206,9 @@ async def measure(options: argparse.Namespace, pid: int, port: int) -> dict[str,
         "statuses": dict(tally.statuses),
         "megabytes_sent": round(tally.bytes_sent / 1e6),
         "processor_ms_each": dict(zip(("server", "workers", "clients"), each, strict=True)),
-        "memory_mb": [round(size / 1e6) for size in memory],
+        "memory_mb": [round(memory / 1e6) for memory, _, _ in held],
+        "descriptors": [opened for _, opened, _ in held],
+        "disk_mb": [round(disk / 1e6) for _, _, disk in held],
         "load_average": [round(load, 1) for load in loads],
         "processors": os.cpu_count(),
     }
@@ -203,7 +226,7 @@ def main() -> None:
     parser.add_argument("--columns", type=int, choices=(2, 4), default=4, help="columns of a recording")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder, service(options.catalogues, Path(folder), options.workers) as running:
-        print(json.dumps(asyncio.run(measure(options, running[0].pid, running[1])), indent=1))
+        print(json.dumps(asyncio.run(measure(options, running[0].pid, running[1], Path(folder))), indent=1))
 
 
 if __name__ == "__main__":

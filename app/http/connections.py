@@ -147,9 +147,16 @@ class Connections:
         self._leaving.discard(connection)
 
     def sweep(self, connections: list[Connection], moment: float) -> None:
-        """Close what waits for too long, for a request or for its client to take an answer."""
+        """Close what waits for too long, for a request or for its client to take an answer.
+
+        What has arrived may be the request: a server that is behind reads it first, and has as long again for that.
+        """
         stalled = [each for each in connections if each.is_stalled(moment)]
-        late = [each for each, since in self._waiting.items() if moment - since > HEAD_S and each.has_sent_all]
+        late = [
+            each
+            for each, since in self._waiting.items()
+            if moment - since > HEAD_S and each.has_sent_all and (moment - since > 2 * HEAD_S or not each.has_more)
+        ]
         for each in stalled + late:
             self._close(each)
 

@@ -185,26 +185,43 @@ def test_one_address_does_not_take_the_place_of_others(pages: Pages, monkeypatch
         assert is_open(other)
 
 
+class Waiting:
+    """A connection that waits for its request."""
+
+    address, has_sent_all, accepted = "127.0.0.1", True, None
+
+    def __init__(self, place: int, accepted: socket.socket, left: list[int], *, has_more: bool = False) -> None:
+        self.place, self.socket, self.transport, self.left, self.has_more = place, accepted, self, left, has_more
+
+    def get_extra_info(self, _name: str) -> socket.socket:
+        return self.socket
+
+    def abort(self) -> None:
+        self.left.append(self.place)
+
+
+def test_a_request_that_is_there_is_read_by_a_server_that_is_behind() -> None:
+    left: list[int] = []
+    with contextlib.ExitStack() as stack:
+        known = Connections(most=10, most_of_one=10)
+        for place, has_more in enumerate((False, True)):
+            near, far = map(stack.enter_context, socket.socketpair())
+            each = stack.enter_context(known.accepted(near, "127.0.0.1"))
+            known.begin(cast(Any, Waiting(place, each, left, has_more=has_more)), 0.0)
+            assert far.fileno() > 0
+        for moment, gone in ((0.9, []), (1.1, [0]), (1.9, [0]), (2.1, [0, 1])):
+            known.sweep([], moment * connections.HEAD_S)
+            assert left == gone
+
+
 def test_of_many_at_once_of_one_address_only_those_too_many_leave() -> None:
-    class Waiting:
-        address, has_sent_all, has_more, accepted = "127.0.0.1", True, False, None
-
-        def __init__(self, place: int, accepted: socket.socket) -> None:
-            self.place, self.socket, self.transport = place, accepted, self
-
-        def get_extra_info(self, _name: str) -> socket.socket:
-            return self.socket
-
-        def abort(self) -> None:
-            left.append(self.place)
-
     left: list[int] = []
     with contextlib.ExitStack() as stack:
         known = Connections(most=10, most_of_one=3)
         ends = [pair for _ in range(5) for pair in [socket.socketpair()]]
         arrived = [known.accepted(stack.enter_context(near), "127.0.0.1") for near, _ in ends]
         for place, each in enumerate(arrived):  # all are accepted before the first is closed
-            known.begin(cast(Any, Waiting(place, each)), float(place))
+            known.begin(cast(Any, Waiting(place, each, left)), float(place))
         assert left == [0, 1]
         for each, (_, far) in zip(arrived, ends, strict=True):
             each.close()

@@ -51,6 +51,7 @@ def test_an_average_in_the_limit_cycle_is_that_of_one_long_run() -> None:
     assert difference(found, levels) < 0.4
 
 
+@pytest.mark.long
 def test_members_of_a_chaotic_case_agree_in_the_mean_wherever_they_start() -> None:
     """Each mean is known to 0.2 dB; seen 0.3 dB apart."""
     by_kind = [simulate_ensemble(MACHINE, CHAOTIC, Ensemble(kind=kind), SETTINGS) for kind in ("perturbation", "phase")]
@@ -92,13 +93,16 @@ def test_errors_of_harmonics_fall_with_the_tolerance() -> None:
     point = found.recommend(0.1).point
     # The cheapest of those that meet it: which that is, is measured, and 1e-4 and 1e-5 cost nearly the same.
     met = [each for each in found.points if each.worst_db < 0.1]
-    assert met[:4] == [*found.points[:4]] and point in met  # by some processors steps of 12 us meet it, too
+    # At the ends it depends on the processor's roundings: at 1e-4 worst of starts is 0.04 dB or, where one start ends
+    # on a slightly other cycle, 0.18; steps of 12 us give 0.06 to 0.14.
+    assert all(each in met for each in found.points[1:4]) and point in met
     assert point.seconds <= 1.2 * min(each.seconds for each in met)
     chaotic = measure(MACHINE, CHAOTIC, rungs=[Settings(rtol=1e-6)])
     assert isinstance(chaotic, TradeOff)
     assert chaotic.chaotic and chaotic.spread_db > 0.5  # seen 1.5
 
 
+@pytest.mark.long
 def test_choices_of_the_model_are_compared_each_at_its_own_speed() -> None:
     """A pin that does not rub lets the motor turn by 0.7 % faster, and orders are those of that speed."""
     found = measure_choices(MACHINE, PERIODIC)
