@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import gzip
 import json
 import os
 import re
@@ -268,12 +269,68 @@ async def gone(options: argparse.Namespace) -> dict[str, Any]:
     return found
 
 
+async def refused(options: argparse.Namespace) -> dict[str, Any]:
+    """521 diagnoses of recordings that are too short, each of another one, by eight clients; what stays of them."""
+    head, *rows = gzip.decompress(RECORDING.read_bytes()).split(b"\n")
+    short = b"\n".join([head, *rows[: len(rows) // 20]])
+    statuses: dict[int, int] = {}
+    with service(options) as attacked:
+        folder = attacked.log.parent
+
+        def kept() -> int:
+            files = [path for path in folder.rglob("*") if path.is_file() and path != attacked.log]
+            return sum(path.stat().st_size for path in files)
+
+        async def ask(client: httpx.AsyncClient, numbers: Iterator[int]) -> None:
+            for number in numbers:
+                sent = {"file": (f"{number}.csv", short + b"\n" * number)}
+                asked = {"catalogue": "slider-crank", "effort": "fast"}
+                answer = await client.post(f"{attacked.address}/api/v1/diagnoses", files=sent, data=asked)
+                statuses[answer.status_code] = statuses.get(answer.status_code, 0) + 1
+                said.add(answer.json()["detail"])
+
+        before, numbers, said = kept(), iter(range(521)), set[str]()
+        async with httpx.AsyncClient(timeout=600) as client:
+            await asyncio.gather(*(ask(client, numbers) for _ in range(8)))
+        left = kept() - before
+    sent_mb = 521 * len(short) / 1e6
+    return {"statuses": statuses, "said": sorted(said)[0], "sent_mb": round(sent_mb, 1), "kept_mb": left / 1e6}
+
+
+async def bombs(options: argparse.Namespace) -> dict[str, Any]:
+    """Two clients send what unpacks to a line of 100 million commas, again and again; a third one diagnoses."""
+    bomb = gzip.compress(b"," * 100_000_000, 9)
+    statuses: dict[int, int] = {}
+
+    async def send(source: str) -> None:
+        transport = httpx.AsyncHTTPTransport(local_address=source)
+        async with httpx.AsyncClient(transport=transport, timeout=600) as client:
+            while not over.is_set():
+                answer = await client.post(
+                    f"{attacked.address}/api/v1/measurements", files={"file": ("bomb.csv.gz", bomb)}
+                )
+                statuses[answer.status_code] = statuses.get(answer.status_code, 0) + 1
+
+    with service(options) as attacked:
+        measurement, over = await store(attacked), asyncio.Event()
+        alone = [(await diagnosis(attacked.address, measurement, "127.0.0.9"))[1] for _ in range(8)]
+        attack = [asyncio.create_task(send(source)) for source in ("127.0.0.2", "127.0.0.3")]
+        await asyncio.sleep(1.0)
+        beside = [(await diagnosis(attacked.address, measurement, "127.0.0.9"))[1] for _ in range(8)]
+        over.set()
+        await asyncio.gather(*attack)
+    found = {"alone_s": float(np.median(alone)), "beside_s": float(np.median(beside)), "longest_s": max(beside)}
+    return {**found, "bombs": statuses, "bomb_kb": len(bomb) / 1000}
+
+
 ROWS: dict[str, Callable[[argparse.Namespace], Coroutine[Any, Any, dict[str, Any]]]] = {
     "idle": idle,
     "sign-in": sign_in,
     "listeners": listen,
     "fifty": fifty,
     "gone": gone,
+    "refused": refused,
+    "bombs": bombs,
 }
 
 

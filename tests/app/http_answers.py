@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import time
 from datetime import datetime, timedelta
 from typing import Any
 
 import httpx
+import pytest
+
+from jointplay.app.logs import MEMBERS
 
 API = "/api/v1"
 PROBLEM = {"type", "title", "status", "detail", "instance"}
@@ -32,3 +36,14 @@ def send(client: httpx.Client, content: bytes, name: str = "recording.csv", **fi
 def assert_time(text: str) -> None:
     moment = datetime.fromisoformat(text)
     assert moment.utcoffset() == timedelta(0)
+
+
+def line_of(caplog: pytest.LogCaptureFixture, path: str) -> dict[str, Any]:
+    """The line of a request, which is written when its answer is over."""
+    deadline = time.monotonic() + 60
+    while time.monotonic() < deadline:
+        for each in caplog.records:
+            if (members := getattr(each, MEMBERS, {})).get("path") == path:
+                return dict(members)
+        time.sleep(0.02)
+    raise AssertionError(f"no line of {path}")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import logging
-import time
 from collections.abc import Iterator
 from datetime import timedelta
 from pathlib import Path
@@ -13,10 +12,10 @@ from typing import Any
 import httpx
 import pytest
 from command_line import invoke
+from http_answers import line_of
 from small_service import running
 
 from jointplay.app.errors import BadFieldError
-from jointplay.app.logs import MEMBERS
 from jointplay.app.main import create_app
 from jointplay.app.scopes import API, Scope, parse_people
 from jointplay.app.settings import ServiceSettings
@@ -50,17 +49,6 @@ def ask(service: str, source: str, headers: Any = None, path: str = f"{API}/mach
     """Send a request from an address of this computer."""
     with httpx.Client(transport=httpx.HTTPTransport(local_address=source), timeout=300) as client:
         return client.request(sent.pop("method", "GET"), service + path, headers=headers, **sent)
-
-
-def line_of(caplog: pytest.LogCaptureFixture, path: str) -> dict[str, Any]:
-    """The line of a request, which is written when its answer is over."""
-    deadline = time.monotonic() + 60
-    while time.monotonic() < deadline:
-        for each in caplog.records:
-            if (members := getattr(each, MEMBERS, {})).get("path") == path:
-                return dict(members)
-        time.sleep(0.02)
-    raise AssertionError(f"no line of {path}")
 
 
 @pytest.mark.parametrize(

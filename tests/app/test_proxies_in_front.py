@@ -6,7 +6,6 @@ import logging
 import socket
 import ssl
 import subprocess
-import time
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -15,10 +14,10 @@ from typing import Any
 
 import httpx
 import pytest
+from http_answers import line_of
 from proxy_processes import FOLDER, caddy, certificates, nginx, oauth2_proxy, program
 from small_service import running
 
-from jointplay.app.logs import MEMBERS
 from jointplay.app.main import create_app
 from jointplay.app.scopes import API, Scope
 from jointplay.app.settings import ServiceSettings
@@ -100,17 +99,6 @@ def front(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Front]:
         build = queue.add({"name": "m"}, {"name": "p"}, "h" * 64, "c", None).id
         trust = ssl.create_default_context(cafile=str(authority))
         yield Front({**by_way, "nginx": secure, "plain": plain}, trust, token, build)
-
-
-def line_of(caplog: pytest.LogCaptureFixture, path: str) -> dict[str, Any]:
-    """The line of a request, which is written when its answer is over."""
-    deadline = time.monotonic() + 60
-    while time.monotonic() < deadline:
-        for each in caplog.records:
-            if (members := getattr(each, MEMBERS, {})).get("path") == path:
-                return dict(members)
-        time.sleep(0.02)
-    raise AssertionError(f"no line of {path}")
 
 
 @pytest.mark.parametrize("way", WAYS)
