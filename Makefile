@@ -24,7 +24,7 @@ LOWEST_TESTS := $(addprefix tests/app/test_,$(addsuffix .py,api_keys cli gate ht
   $(addprefix tests/solver/test_,$(addsuffix .py,drawing machine native simulate spectrum))
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test quick lint format unit docs lowest fuzz fuzz-readers schemathesis serve bench openapi pins
+.PHONY: help install demo test long quick lint format unit docs lowest fuzz fuzz-readers schemathesis serve bench openapi pins
 .PHONY: audit clean
 
 help: ## this list
@@ -38,7 +38,10 @@ install: $(STAMP) ## everything the command needs, into .venv
 serve: $(STAMP) ## the web form and the HTTP API on http://127.0.0.1:8000
 	$(BIN)/jointplay serve --no-keys
 
-test: lint unit ## all checks: style, types, layers, tests
+test: lint unit ## style, types, layers, and all tests but those of `make long`
+
+long: $(STAMP) ## tests of ten seconds and more: journeys of users, random machines, kills, whole evaluations
+	$(BIN)/pytest -n $(WORKERS) --dist worksteal -m long
 
 quick: lint ## what fails most often, within a minute: style, types, layers, the fastest tests
 	$(BIN)/pytest -q $(QUICK)
@@ -54,7 +57,7 @@ format: $(STAMP) ## put the code into the form that the checks want
 	$(BIN)/ruff format .
 
 unit: $(STAMP)
-	$(BIN)/pytest -n $(WORKERS) --dist worksteal
+	$(BIN)/pytest -n $(WORKERS) --dist worksteal -m 'not long'
 
 docs: $(STAMP) ## the pages of docs/ as a site in build/docs; a link that leads nowhere is an error
 	$(BIN)/python -m sphinx --fail-on-warning --keep-going --nitpicky --quiet -b html docs build/docs

@@ -238,6 +238,10 @@ class SlowRequestError(AppError):
     """A request whose body does not arrive."""
 
 
+class OverdueError(AppError):
+    """A request that was not answered in time."""
+
+
 class NotReadyError(AppError):
     """Something that this service needs does not answer."""
 

@@ -16,6 +16,7 @@ from starlette.staticfiles import StaticFiles
 
 from jointplay.app.errors import BadFieldError
 from jointplay.app.http import handlers, openapi
+from jointplay.app.http.deadline import Deadline
 from jointplay.app.http.examples import read_document
 from jointplay.app.http.gate import Gate, TokenBuckets
 from jointplay.app.http.middleware import BodyLimit, RequestLog, SecurityHeaders, State
@@ -214,6 +215,7 @@ def create_app(settings: ServiceSettings | None = None, *, warm: bool = False) -
         BodyLimit, upload_bytes=chosen.max_upload_bytes, receive_timeout=chosen.receive_timeout_s
     )
     application.add_middleware(Gate, settings=chosen, people=people)
+    application.add_middleware(Deadline, time_limit=chosen.time_limit_s)
     application.add_middleware(RequestLog, templates=templates, metrics=metrics)
     application.add_middleware(SecurityHeaders)
     application.add_middleware(Proxies, trusted=chosen.trusted_proxies)

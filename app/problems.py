@@ -130,6 +130,7 @@ TABLE: dict[type[Exception], ProblemKind] = {
     errors.RateLimitedError: ProblemKind(429, "too-many-requests", "Too many requests"),
     errors.WrongHostError: ProblemKind(421, "wrong-host", "This service has another name"),
     errors.SlowRequestError: ProblemKind(408, "slow-request", "The request did not arrive"),
+    errors.OverdueError: ProblemKind(503, "overdue", "The answer took too long"),
     errors.NotReadyError: ProblemKind(503, "not-ready", "The service is not ready"),
     errors.OutputError: ProblemKind(422, "output", "The result cannot be written"),
     errors.BackupError: ProblemKind(422, "backup", "The backup cannot be made or brought back"),

@@ -125,8 +125,10 @@ class ServiceSettings(BaseSettings):
     quota_gb: float | None = Field(
         default=None, gt=0, description="Gigabytes (10^9 bytes) of recordings that may be stored in all; then 507."
     )
-    quota_key_gb: float | None = Field(
-        default=None, gt=0, description="Gigabytes of recordings that one key may store; then 507."
+    quota_each_gb: float | None = Field(
+        default=None,
+        gt=0,
+        description="Gigabytes of recordings that one key, or one person signed in at a proxy, may store; then 507.",
     )
     stop_limit_s: float = Field(
         default=30.0,
@@ -183,8 +185,8 @@ class ServiceSettings(BaseSettings):
 
     @property
     def quotas(self) -> tuple[float | None, float | None]:
-        """How many bytes of recordings may be stored in all, and by one key."""
-        both = (self.quota_gb, self.quota_key_gb)
+        """How many bytes of recordings may be stored in all, and by one key or person."""
+        both = (self.quota_gb, self.quota_each_gb)
         return tuple(None if each is None else 1e9 * each for each in both)  # type: ignore[return-value]
 
     @property

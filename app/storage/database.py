@@ -21,7 +21,7 @@ from jointplay.catalogue.errors import CatalogueFileError
 from jointplay.catalogue.storage import database
 from jointplay.catalogue.storage.database import Database
 
-REVISION = "4"
+REVISION = "5"
 """The newest revision in :mod:`jointplay.app.migrations`."""
 
 VERSION_TABLE = "service_revision"

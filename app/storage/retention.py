@@ -1,6 +1,6 @@
-"""Which recordings are evidence, baselines or routine, which are on hold, and how much whoever stored them may store.
+"""Which recordings are evidence, baselines or routine, which are on hold, and how much whoever stores them may store.
 
-What a recording is follows from what speaks of it; a row here says otherwise, or who stored it.
+What a recording is follows from what speaks of it; a row here says otherwise.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from jointplay.app.errors import InUseError, QuotaError
 from jointplay.app.storage import audit
 from jointplay.app.storage.assets import AssetBaselineRow, AssetRow, FindingRow
 from jointplay.app.storage.database import ServiceDatabase
-from jointplay.app.storage.rows import Base, DiagnosisRow, MeasurementRow, now
+from jointplay.app.storage.rows import MADE_BY, Base, DiagnosisRow, MeasurementRow, now
 from jointplay.app.storage.tombstones import deleted, refuse_deleted
 
 Class = Literal["routine", "baseline", "evidence"]
@@ -41,7 +41,6 @@ class RetentionRow(Base):
     hold: Mapped[str | None] = mapped_column(Text)
     changed_by: Mapped[str] = mapped_column(Text, default="")
     changed_at: Mapped[datetime | None]
-    stored_by: Mapped[str | None] = mapped_column(String(16), index=True)
 
 
 @dataclass(frozen=True)
@@ -149,12 +148,12 @@ class Quotas:
     ----------
     all_bytes : float, optional
         By all together; none for as many as there is space for.
-    key_bytes : float, optional
-        By one key.
+    each_bytes : float, optional
+        By whoever stores them: a person who signed in, or a key.
     """
 
-    def __init__(self, all_bytes: float | None = None, key_bytes: float | None = None) -> None:
-        self._allowed = {False: all_bytes, True: key_bytes}
+    def __init__(self, all_bytes: float | None = None, each_bytes: float | None = None) -> None:
+        self._allowed = {False: all_bytes, True: each_bytes}
         self._known: dict[str | None, tuple[float, int]] = {}
         self._lock = threading.Lock()
 
@@ -166,28 +165,28 @@ class Quotas:
         QuotaError
             When it is more than may be stored.
         """
-        key = actor().key
-        for each in (None,) if key is None else (None, key):
+        who = actor()
+        for each in (None, who.name[:MADE_BY]) if who.key or who.person else (None,):
             allowed = self._allowed[each is not None]
             if allowed is not None:
                 self._take(session, each, size, allowed)
 
-    def _take(self, session: Session, key: str | None, size: int, allowed: float) -> None:
+    def _take(self, session: Session, by: str | None, size: int, allowed: float) -> None:
         with self._lock:
-            until, used = self._known.get(key, (0.0, 0))
+            until, used = self._known.get(by, (0.0, 0))
         if time.monotonic() > until or used + size > allowed:  # others store, too; and what was deleted counts no more
-            until, used = time.monotonic() + LOOK_S, stored_bytes(session, key) - size
+            until, used = time.monotonic() + LOOK_S, stored_bytes(session, by) - size
         if used + size > allowed:
-            whose = "all keys together" if key is None else f"key {key}"
+            whose = by or "all together"
             rule = f"{used / 1e6:.6g} MB of {allowed / 1e6:.6g} MB are used by {whose}; this has {size / 1e6:.6g} MB"
             raise QuotaError(f"{rule}: delete recordings, or let the quota be raised", field="file")
         with self._lock:
-            self._known[key] = (until, used + size)
+            self._known[by] = (until, used + size)
 
 
-def stored_bytes(session: Session, key: str | None) -> int:
-    """Return the size of all recordings that there are, or of those that a key has stored."""
+def stored_bytes(session: Session, by: str | None) -> int:
+    """Return the size of all recordings that there are, or of those that somebody has stored."""
     query = recordings(func.coalesce(func.sum(MeasurementRow.size_bytes), 0))
-    if key is not None:
-        query = query.where(RetentionRow.stored_by == key)
+    if by is not None:
+        query = query.where(MeasurementRow.made_by == by)
     return int(session.scalar(query) or 0)

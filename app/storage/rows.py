@@ -29,6 +29,10 @@ class Base(DeclarativeBase):
     type_annotation_map: ClassVar = {dict[str, Any]: JSON, datetime: UtcDateTime}
 
 
+MADE_BY = 256
+"""Longest name of who made a row, as far as it is kept; nobody else is counted by it."""
+
+
 class Sealed:
     """A row with a checksum of what it holds: set whenever it is written, checked whenever it is read."""
 
@@ -37,12 +41,12 @@ class Sealed:
     """Columns that the checksum is of."""
 
     checksum: Mapped[str] = mapped_column(String(64))
-    made_by: Mapped[str | None] = mapped_column(String(256))
+    made_by: Mapped[str | None] = mapped_column(String(MADE_BY))
 
     @classmethod
     def seal(cls, values: Mapping[str, Any]) -> dict[str, Any]:
         """Return the values of a row that is made, with who makes it and the checksum of all."""
-        made = {"made_by": actor().name[:256], **values}
+        made = {"made_by": actor().name[:MADE_BY], **values}
         return {**made, "checksum": row_checksum({name: made[name] for name in cls.SEALED})}
 
     def check(self) -> None:
@@ -98,7 +102,7 @@ class MeasurementRow(Sealed, Base):
 
     number: Mapped[int] = mapped_column(primary_key=True, autoincrement=True)
     id: Mapped[str] = mapped_column(String(32), unique=True)
-    sha256: Mapped[str] = mapped_column(String(64))
+    sha256: Mapped[str] = mapped_column(String(64), index=True)
     name: Mapped[str] = mapped_column(String(255))
     size_bytes: Mapped[int] = mapped_column(BigInteger)
     said: Mapped[dict[str, Any]]
@@ -127,7 +131,7 @@ class DiagnosisRow(Sealed, Base):
 
     number: Mapped[int] = mapped_column(primary_key=True, autoincrement=True)
     id: Mapped[str] = mapped_column(String(32), unique=True)
-    measurement: Mapped[str] = mapped_column(ForeignKey("measurements.id"))
+    measurement: Mapped[str] = mapped_column(ForeignKey("measurements.id"), index=True)
     catalogue: Mapped[str] = mapped_column(String(64))
     machine: Mapped[dict[str, Any]]
     created_at: Mapped[datetime]

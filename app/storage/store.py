@@ -17,12 +17,11 @@ from sqlalchemy import Select, select
 from sqlalchemy.engine import URL
 from sqlalchemy.orm import Session
 
-from jointplay.app.actor import actor
 from jointplay.app.errors import AppError, BusyError, UnknownDiagnosisError, UnknownMeasurementError
 from jointplay.app.storage import audit
 from jointplay.app.storage.assets import touch_owners
 from jointplay.app.storage.database import ServiceDatabase, database_url
-from jointplay.app.storage.retention import Quotas, RetentionRow
+from jointplay.app.storage.retention import Quotas
 from jointplay.app.storage.rows import (
     Base,
     Damaged,
@@ -277,9 +276,6 @@ class Store:
             touch_owners(session, kept.id)
             new = True
         if new:
-            if (by := actor().key) is not None:
-                session.merge(RetentionRow(measurement=kept.id, said=None, hold=None, changed_by="", stored_by=by))
-                session.flush()
             self._quotas.take(session, upload.size)
         is_first_told = source == "file" and kept.measured_at_source == "received"
         if new:

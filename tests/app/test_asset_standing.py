@@ -209,6 +209,7 @@ def test_limits_are_set_on_the_page(service: httpx.Client) -> None:
     assert service.get(f"{API}/assets/life-3").json()["updated_at"] == stored["updated_at"]
 
 
+@pytest.mark.long
 def test_a_change_outlives_kill_9_and_is_told_once_by_two_servers(shelf: Path, tmp_path: Path) -> None:
     with listening() as own:
         folder = tmp_path / "killed"

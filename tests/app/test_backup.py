@@ -63,6 +63,7 @@ def everything(client: httpx.Client) -> dict[str, bytes]:
     return answers
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("kind", "other"), PAIRS)
 def test_a_backup_of_a_working_service_gives_the_same_answers(
     tmp_path: Path, shelf: Path, worn: bytes, monkeypatch: pytest.MonkeyPatch, kind: str, other: str

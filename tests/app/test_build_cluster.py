@@ -22,6 +22,7 @@ TINY = {**PLAN, "draws": {"healthy": 3, "single": 4}, "guard": 0}
 ASKED = {"machine": "slider-crank", "plan": TINY, "catalogue": "made", "workers": 1}
 
 
+@pytest.mark.long
 def test_a_build_is_computed_by_the_cluster(tmp_path: Path, url: str) -> None:
     options = {"processes": False, "dashboard_address": ":0", "protocol": "tcp"}
     with distributed.LocalCluster(n_workers=1, threads_per_worker=1, **options) as cluster:

@@ -181,6 +181,7 @@ def command(folder: Path) -> Iterator[tuple[subprocess.Popen[str], httpx.Client]
             process.kill()
 
 
+@pytest.mark.long
 def test_a_server_killed_another_stopped_a_third_finishes(tmp_path: Path, worn: bytes) -> None:
     with command(tmp_path) as (process, client):
         kept = client.post(f"{API}/measurements", files={"file": ("worn.csv", worn)})

@@ -15,7 +15,7 @@ import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 from answers import diagnosis
-from older_tables import take_seals
+from older_tables import say_twice_who_stored, take_seals
 from sqlalchemy import event, inspect, text
 from uploaded import SHA256, SIZE, uploaded
 
@@ -152,6 +152,15 @@ def test_rows_of_revision_3_get_their_checksums(store: Store, url: str, tmp_path
         assert [row.in_order for row in assets.page(None, 9)] == [(), tuple(keys[:2])]
         assert opened.diagnosis(asked.id).answer == diagnosis()
         assert [row.made_by for row in assets.findings(None, 9)] == [None]
+
+
+def test_who_stored_a_recording_is_said_once_from_revision_5_on(store: Store, url: str, tmp_path: Path) -> None:
+    kept = store.add_measurement(uploaded(store), "a.csv", None, {})
+    with closing(connected(url)) as database, database.transaction() as connection:
+        say_twice_who_stored(connection)
+    with closing(Store(tmp_path, url)) as opened:
+        assert differences(opened) == []
+        assert opened.measurement(kept.id).made_by == "system"
 
 
 def test_answers_of_version_1_are_read() -> None:

@@ -169,7 +169,7 @@ def test_a_quota_of_a_key(tmp_path: Path, worn: bytes) -> None:
         workers=1,
         builds=0,
         keys="required",
-        quota_key_gb=1.5e-9 * len(worn),
+        quota_each_gb=1.5e-9 * len(worn),
     )
     with closing(Store(settings.data)) as store:
         tokens = [Keys(store.database).create("k", frozenset(Scope), timedelta(hours=1))[1] for _ in range(2)]

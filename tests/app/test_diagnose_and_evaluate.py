@@ -225,6 +225,7 @@ def test_evaluate_prints_figures_and_confusion(shelf: Path, tmp_path: Path) -> N
     assert plot.stat().st_size > 1000
 
 
+@pytest.mark.long
 def test_evaluate_says_why_recordings_are_refused(shelf: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     lengths = iter([2.41, 2.38, None, None, None, 1.02, None, None] * 2)
 
@@ -243,6 +244,7 @@ def test_evaluate_says_why_recordings_are_refused(shelf: Path, monkeypatch: pyte
     assert "  refused 3 times: recording: 2.41 s are too few revolutions" in invoke(*asked).stdout
 
 
+@pytest.mark.long
 def test_evaluate_prints_figures_of_lives(shelf: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(lives, "VISITS", 8)
     monkeypatch.setattr(lives, "_PROTOCOL", replace(lives._PROTOCOL, revolutions=10.0))
@@ -266,6 +268,7 @@ def test_lives_stand_by_themselves(more: tuple[str, ...], text: str, shelf: Path
     assert_refused(invoke("evaluate", "--catalogue", shelf / "slider-crank", *more), 2, text)
 
 
+@pytest.mark.long
 def test_evaluate_names_the_p_values_that_tell_foreign_causes(shelf: Path) -> None:
     arguments = ["evaluate", "--catalogue", shelf / "slider-crank", "--protocol", "other-cause-half-mount"]
     printed = invoke(*arguments, "--count", "4", "--modes", "auto,robust").stdout.splitlines()
@@ -286,6 +289,7 @@ def test_evaluate_names_the_p_values_that_tell_foreign_causes(shelf: Path) -> No
     assert "AUROC" not in plain
 
 
+@pytest.mark.long
 def test_evaluate_says_what_is_told_of_joints_and_sensors_and_what_is_refused(shelf: Path) -> None:
     arguments = ["evaluate", "--catalogue", shelf / "slider-crank", "--protocol", "sensor-flaw-inverted,drop-out-long"]
     printed = invoke(*arguments, "--count", "8").stdout.splitlines()

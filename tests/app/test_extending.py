@@ -71,6 +71,7 @@ def run(package: Path, code: str) -> str:
     return done.stdout
 
 
+@pytest.mark.long
 def test_a_contact_law(package: Path) -> None:
     code = """
 import json

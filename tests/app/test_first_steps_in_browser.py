@@ -56,6 +56,7 @@ def page(browser: Browser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> I
         yield visit.page
 
 
+@pytest.mark.long
 def test_from_nothing_to_a_worn_joint(page: Page) -> None:
     bring_the_press(page)
     build_its_catalogue(page)

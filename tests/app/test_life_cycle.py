@@ -611,11 +611,23 @@ def check_quotas(store: Store) -> None:
     assert len(files(store)) == 2  # neither row nor file of what was refused
     with acting(Actor(key="k2")):
         stored(store, CONTENT + b"D")
-        with pytest.raises(QuotaError, match="are used by all keys together"):
+        with pytest.raises(QuotaError, match="are used by all together"):
             stored(store, CONTENT + b"E")
     Removal(store).delete_measurement(one.id, "")
     with acting(Actor(key="k1")):
         stored(store, CONTENT + b"C")
+
+
+def test_a_quota_of_a_person_who_signed_in_at_a_proxy(url: str, tmp_path: Path) -> None:
+    with closing(Store(tmp_path, url, Quotas(None, 2 * len(CONTENT) + 2))) as store:
+        for who, letters in (("ann", b"AB"), ("x" * 300, b"CD"), ("x" * 299, b"")):
+            with acting(Actor(person=who, address="192.0.2.7")):
+                for letter in letters:
+                    stored(store, CONTENT + bytes([letter]))
+                with pytest.raises(QuotaError, match=f"are used by {who[:256]};"):
+                    stored(store, CONTENT + b"E")
+        with acting(Actor(address="192.0.2.7")):  # without keys nobody is known who could be held to it
+            stored(store, CONTENT + b"E")
 
 
 def test_when_a_disk_is_full() -> None:

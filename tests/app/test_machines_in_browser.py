@@ -24,6 +24,7 @@ def visit(request: pytest.FixtureRequest, browser: Browser, shelf: Path, tmp_pat
         yield found
 
 
+@pytest.mark.long
 def test_a_text_is_edited_beside_its_drawing(visit: Visit, tmp_path: Path) -> None:
     page = visit.page
     page.get_by_role("link", name="Machines").click()

@@ -39,6 +39,7 @@ def test_nothing_is_imported_before_it_is_asked_for() -> None:
     assert {name for name in loaded if name.startswith("jointplay.")} == {"jointplay.version"}
 
 
+@pytest.mark.long
 def test_the_page_does_what_it_says(
     shelf: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

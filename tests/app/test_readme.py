@@ -28,6 +28,7 @@ def test_there_are_five_commands() -> None:
     assert sum(command.startswith("curl ") for command in commands()) == 2
 
 
+@pytest.mark.long
 @pytest.mark.timeout(3000)  # two minutes of a processor, beside whatever other work
 def test_the_commands_of_the_readme_lead_to_a_diagnosis(tmp_path: Path) -> None:
     for entry in ROOT.iterdir():  # the checkout, without what was made in it

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections import Counter
 from pathlib import Path
 
+import pytest
 from small_service import serving
 
 from benchmarks.api_fuzz import Found, copied, run
 from jointplay.app.settings import ServiceSettings
 
 
+@pytest.mark.long
 def test_every_operation_answers_as_documented(shelf: Path, tmp_path: Path) -> None:
     settings = ServiceSettings(
         catalogues=copied(shelf, tmp_path),

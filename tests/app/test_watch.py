@@ -9,6 +9,7 @@ import subprocess
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import httpx
@@ -205,7 +206,8 @@ def test_a_service_that_cannot_now_is_asked_again_and_one_that_fails_three_times
     folder: Path, told: Callable[..., Told], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pauses: list[float] = []
-    monkeypatch.setattr(time, "sleep", lambda seconds: pauses.append(seconds))
+    # Of the watcher alone: servers that run in threads of this process sleep, too.
+    monkeypatch.setattr(watch, "time", SimpleNamespace(**{**vars(time), "sleep": pauses.append}))
     failed = FailedError("a worker died")
     got = told(NotNowError("all busy"), NotNowError("all busy"), failed, failed, failed)
     (folder / "a.csv").write_bytes(b"1\n")

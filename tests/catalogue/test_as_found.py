@@ -83,6 +83,7 @@ def test_unit_loads_share_the_strokes(name: str) -> None:
         assert len(angle) < 20
 
 
+@pytest.mark.long
 def test_the_load_of_a_stroke_is_found(small_catalogue: Catalogue, loaded: PreparedMeasurement) -> None:
     """On a slide only what one stroke has more than the other shakes the frame; the rest is as uncertain as ever."""
     _, result = asked(small_catalogue, loaded)
@@ -96,6 +97,7 @@ def test_the_load_of_a_stroke_is_found(small_catalogue: Catalogue, loaded: Prepa
     assert load.paths == ("loads.0.over_angle", "loads.1.over_angle")
 
 
+@pytest.mark.long
 def test_a_loaded_machine_is_simulated_with_its_load(
     small_catalogue: Catalogue, loaded: PreparedMeasurement, found: Refined
 ) -> None:
@@ -111,6 +113,7 @@ def test_a_loaded_machine_is_simulated_with_its_load(
     assert found.load.size == pytest.approx(LOADS[0] - LOADS[1], abs=12.0)
 
 
+@pytest.mark.long
 def test_a_loaded_machine_is_worn_beside_its_load(small_catalogue: Catalogue, loaded: PreparedMeasurement) -> None:
     """Which of three joints so few draws cannot say; that something is worn, they do."""
     question = Question(effort="thorough", cases=4 * 120)

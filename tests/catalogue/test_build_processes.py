@@ -79,6 +79,7 @@ def test_a_worker_killed_while_it_sends_is_not_waited_for(tmp_path: Path) -> Non
     assert not end.is_alive()
 
 
+@pytest.mark.long
 def test_builder_and_workers_killed_at_random_moments(tmp_path: Path) -> None:
     """Kill -9 two builders and a worker of a third; the fourth finds everything done, and nothing was twice."""
     directory, log = tmp_path / "catalogue", tmp_path / "log"

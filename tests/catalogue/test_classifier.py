@@ -40,6 +40,7 @@ def test_keeps_the_rules_of_scikit_learn(check: Any) -> None:
     check(ClearanceClassifier())
 
 
+@pytest.mark.long
 def test_is_cross_validated_on_a_catalogue_in_a_pipeline(small_catalogue: Catalogue) -> None:
     rows = Rows.of(small_catalogue)
     assert rows.joints == ("A", "B", "O")

@@ -161,6 +161,7 @@ def test_no_worker_is_one_line() -> None:
     ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("dask", "kind", "builders", "kills"),
     [

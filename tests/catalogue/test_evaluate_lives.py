@@ -178,6 +178,7 @@ def test_laws_of_wear_rise() -> None:
         assert (part[0], part[-1]) == (0.0, pytest.approx(1.0, abs=1e-6))
 
 
+@pytest.mark.long
 def test_lives_are_evaluated(small_catalogue: Catalogue, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(lives, "VISITS", 8)
     monkeypatch.setattr(lives, "_PROTOCOL", replace(lives._PROTOCOL, revolutions=10.0))

@@ -85,6 +85,7 @@ def test_most_held_out_faults_are_found(small_catalogue: Catalogue) -> None:
     assert json.loads(json.dumps(study.content()))["rows"][0]["protocol"]["name"] == "matched"
 
 
+@pytest.mark.long
 def test_a_classifier_of_scikit_learn_is_judged_beside_the_rest(small_catalogue: Catalogue) -> None:
     setups = [Setup(), Setup("forest")]
     forest = RandomForestClassifier(100, random_state=0)
@@ -97,6 +98,7 @@ def test_a_classifier_of_scikit_learn_is_judged_beside_the_rest(small_catalogue:
         evaluate(small_catalogue, [SHORT], 8, setups=setups)
 
 
+@pytest.mark.long
 def test_a_foreign_cause_has_smaller_p_values_than_what_is_listed(small_catalogue: Catalogue) -> None:
     half_mount = replace(SHORT, name="half mount", kind="singles", differences=("half-mount",), foreign=True)
     (row,) = evaluate(small_catalogue, [half_mount], 8, seed=3).rows
@@ -386,6 +388,7 @@ def test_small_wear_is_of_any_set_of_joints_in_an_order_of_the_seed(small_catalo
     assert set(row.figures.labels) <= {each.label for each in small.hypotheses(small_catalogue, seed=3)[:2]}
 
 
+@pytest.mark.long
 def test_wear_beyond_the_range_is_larger_than_what_the_catalogue_tells(small_catalogue: Catalogue) -> None:
     beyond = replace(PROTOCOLS["beyond-range"], revolutions=10.0)
     resolved = beyond.of(small_catalogue)
@@ -399,6 +402,7 @@ def test_wear_beyond_the_range_is_larger_than_what_the_catalogue_tells(small_cat
     assert plain.figures.at_least is None
 
 
+@pytest.mark.long
 def test_a_sweep_takes_the_first_draws_of_each_hypothesis(small_catalogue: Catalogue) -> None:
     found = trade_off(small_catalogue, [6, 1000], ["draft"], SHORT, 8, seed=3)
     assert [(point.accuracy, point.draws, point.entries) for point in found.points] == [
@@ -413,6 +417,7 @@ def test_a_sweep_takes_the_first_draws_of_each_hypothesis(small_catalogue: Catal
     assert json.loads(json.dumps(found.content()))["points"][0]["draws"] == 6
 
 
+@pytest.mark.long
 def test_a_sweep_builds_other_accuracies_in_the_same_way_and_says_what_building_took(
     small_catalogue: Catalogue, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -110,6 +110,7 @@ def measured(number: int, protocol: str, swings: bool) -> Recording:
     return Recording("second simulator", 1.0 / float(time[1] - time[0]), values, channels, (), (), "0" * 64)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("number", "protocol", "swings"),
     [(1, "sound", True), (2, "sound", True), (3, "sound", False), (4, "sound", False), (2, "disturbed-sound", False)],

@@ -29,6 +29,7 @@ def card(catalogue: Catalogue) -> QualityCard:
     return made
 
 
+@pytest.mark.long
 def test_every_held_out_draw_is_asked_about_at_every_noise(card: QualityCard, catalogue: Catalogue) -> None:
     matrix = catalogue.matrix
     held = {h.label: int(np.sum(is_held_out(matrix.individuals(matrix.rows(h.label))))) for h in matrix.hypotheses}

@@ -234,6 +234,7 @@ def test_a_run_up_has_one_answer(two_speeds: Catalogue) -> None:
     assert not diagnose(recording, two_speeds, speed=SPEED).recordings
 
 
+@pytest.mark.long
 def test_it_is_no_worse_than_its_steady_part_alone(two_speeds: Catalogue) -> None:
     """Of what is true, over a machine in order and each worn joint; a run-up that says nothing would cost that."""
     alone, together = 0.0, 0.0

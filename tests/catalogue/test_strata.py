@@ -63,6 +63,7 @@ def unseen(label: str, stratum: str, copies: int = 2) -> FloatArray:
     return observe(MODEL.packed(rows), sensing(), TRUSTED.discrepancy, np.full(len(rows), copies), 7)[0]
 
 
+@pytest.mark.long
 def test_doubts_machines_that_differ_from_their_file(strata: Network) -> None:
     assert strata.labels == (AS_FILED, DIFFERS)
     opinion = opinion_of(strata)

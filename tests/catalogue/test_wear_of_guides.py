@@ -60,6 +60,7 @@ def answer(catalogue: Catalogue, **worn: float) -> Diagnosis:
     return diagnose(Recording.from_arrays(history.at_sensors(machine), 10_000, names), catalogue)
 
 
+@pytest.mark.long
 def test_a_worn_guide_is_named(catalogue: Catalogue) -> None:
     assert sorted(catalogue.hypotheses) == ["A", "B", "B+G1", "G1", "O", "healthy"]
     found = answer(catalogue, G1=4e-4)

@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[2]
 
 #: What a page loads by itself, not what it links to.
@@ -17,6 +19,7 @@ LOADED = re.compile(
 IMPORTED = re.compile(r"@import\s+(?:url\()?[\"']?([^\"');]+)|url\([\"']?([^\"')]+)")
 
 
+@pytest.mark.long
 def test_the_site_is_built_and_loads_from_its_own_origin_only(tmp_path: Path) -> None:
     site = tmp_path / "site"
     command = [

@@ -8,9 +8,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 PAGE = Path(__file__).parents[2] / "docs" / "guide" / "own-machine.md"
 
 
+@pytest.mark.long
 def test_the_commands_find_the_worn_joint(tmp_path: Path) -> None:
     text = PAGE.read_text(encoding="utf-8")
     machine, plan = re.findall(r"```yaml\n(.*?)```", text, re.DOTALL)

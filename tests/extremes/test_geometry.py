@@ -23,6 +23,7 @@ WORN = {"A": 1e-4}
 METHODS = pytest.mark.parametrize("method", ["adaptive", "gill"])
 
 
+@pytest.mark.long
 @METHODS
 def test_a_parallelogram_stays_one_through_its_change_points(method: Method) -> None:
     """Twice a turn all links lie on one line, where it could go on as a crossed four-bar: it does not for ten turns."""

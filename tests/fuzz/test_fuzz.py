@@ -23,6 +23,7 @@ def small_scenes(first: int, count: int) -> list[Scene]:
     return [replace(drawn, duration=min(HORIZON, drawn.duration)) for drawn in itertools.islice(small, count)]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("first", range(10_000, 10_500, 100))
 def test_random_machines(first: int) -> None:
     """Right by the oracle, refused, or a named failure; `make fuzz` draws larger ones and watches them for longer."""

@@ -110,6 +110,7 @@ def test_two_four_bars(method: dict[str, float], tolerance: float, drift: float)
     assert tip[5000, 0] == pytest.approx(0.3284573768, abs=2e-6 + tolerance)
 
 
+@pytest.mark.long
 def test_forty_four_bars() -> None:
     """A02 with N = 40: 81 moving links, 80 closures; one second."""
     machine = n_four_bar(40)

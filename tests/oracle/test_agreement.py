@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import Counter
 
 import numpy as np
+import pytest
 from oracle.closures import lacking
 from oracle.dense import JammedError, Solution, solve
 from oracle.sketch import Sketch, bent_sketch, parameters, random_state, sketch
@@ -155,6 +156,7 @@ EXPECTED = {
 }  # fmt: skip
 
 
+@pytest.mark.long
 def test_random_machines() -> None:
     seen: Counter[str] = Counter()
     for seed in range(MACHINES):
@@ -173,6 +175,7 @@ EXPECTED_BENT = {
 }  # fmt: skip
 
 
+@pytest.mark.long
 def test_random_machines_whose_frames_bend() -> None:
     seen: Counter[str] = Counter()
     for seed in range(60):

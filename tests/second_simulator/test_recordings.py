@@ -45,6 +45,7 @@ def test_levels_do_not_change_with_half_the_step() -> None:
     assert np.abs(frame_levels(individual, 20) - frame_levels(individual, 10)).mean() < 0.1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["slider-crank-02", "four-bar-04"])
 def test_recordings_are_like_those_of_a_third_simulator(name: str) -> None:
     # Its joints that are not worn are ideal: very stiff contacts with hardly any play stand for them.
@@ -146,6 +147,7 @@ def lives(machine: str, numbers: range) -> list[list[Individual]]:
     ]
 
 
+@pytest.mark.long
 def test_a_life_is_of_one_machine_that_wears_and_never_heals_unless_repaired() -> None:
     worn_joints = []
     for visits in lives("slider-crank", range(1, 6)):

@@ -57,6 +57,7 @@ def test_every_unknown_of_a_shipped_machine_is_accounted_for(name: str, count: i
     assert sizes.freedoms == 4 + 2 * len(worn)
 
 
+@pytest.mark.long
 def test_every_unknown_of_any_machine_is_accounted_for() -> None:
     """With fixed and locked links, drives of every kind, open chains and loops, joints that repeat an angle."""
     done = 0

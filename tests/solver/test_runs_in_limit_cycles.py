@@ -51,6 +51,7 @@ def test_an_average_in_the_limit_cycle_is_that_of_one_long_run() -> None:
     assert difference(found, levels) < 0.4
 
 
+@pytest.mark.long
 def test_members_of_a_chaotic_case_agree_in_the_mean_wherever_they_start() -> None:
     """Each mean is known to 0.2 dB; seen 0.3 dB apart."""
     by_kind = [simulate_ensemble(MACHINE, CHAOTIC, Ensemble(kind=kind), SETTINGS) for kind in ("perturbation", "phase")]
@@ -101,6 +102,7 @@ def test_errors_of_harmonics_fall_with_the_tolerance() -> None:
     assert chaotic.chaotic and chaotic.spread_db > 0.5  # seen 1.5
 
 
+@pytest.mark.long
 def test_choices_of_the_model_are_compared_each_at_its_own_speed() -> None:
     """A pin that does not rub lets the motor turn by 0.7 % faster, and orders are those of that speed."""
     found = measure_choices(MACHINE, PERIODIC)
