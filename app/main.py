@@ -7,6 +7,7 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from fastapi import Depends, FastAPI
 from starlette.concurrency import run_in_threadpool
@@ -40,6 +41,7 @@ from jointplay.app.routes import (
     build_pages,
     builds,
     catalogues,
+    custody_pages,
     diagnoses,
     entries,
     finding_pages,
@@ -124,13 +126,15 @@ def create_app(settings: ServiceSettings | None = None, *, warm: bool = False) -
         sender.start()
         keeper = Housekeeper(Pruner(store, chosen.catalogues, chosen.keep_days))
         keeper.start()
-        behind = [
+        behind: list[asyncio.Task[Any]] = [
             asyncio.create_task(StandingKeeper(store, pool).run()),
             asyncio.create_task(Scrubber(store, metrics).run()),
             asyncio.create_task(keep_storing_uses(kept_keys)),
         ]
         if warm:
             behind.append(asyncio.create_task(service.warm()))
+            # By it queries are judged: made by the first of them, that would wait for it.
+            behind.append(asyncio.create_task(asyncio.to_thread(application.openapi)))
         try:
             yield
         finally:
@@ -187,6 +191,7 @@ def create_app(settings: ServiceSettings | None = None, *, warm: bool = False) -
                 build_pages,
                 asset_pages,
                 finding_pages,
+                custody_pages,
                 signal_pages,
                 try_pages,
                 signin,

@@ -14,7 +14,10 @@ API = "/api/v1"
 OPEN = ("/healthz", "/readyz", "/sign-in", "/sign-out", "/openapi.json")
 OPEN_FOLDER = "/static/"
 ADMINISTERED = ("/webhooks", "/keys", "/audit")
-RETENTION = re.compile(r"/measurements/[^/]+/retention")
+#: How long a recording is kept, and forms of pages, which know no DELETE.
+ADMINISTERED_OF_EACH = tuple(
+    map(re.compile, (r"/measurements/[^/]+/retention", r"/(assets|measurements|diagnoses|findings)/[^/]+/delete"))
+)
 #: What is taken back by DELETE, and can be said again: everything else that is deleted is gone.
 TAKEN_BACK = re.compile(r"/assets/[^/]+/acknowledgement")
 BUILDING = ("/forecasts", "/builds", "/machines")
@@ -55,7 +58,9 @@ def scope_of(method: str, path: str) -> Scope | None:
         return Scope.ADMIN
     if method in READING:
         return Scope.READ
-    if RETENTION.fullmatch(place) or (method == "DELETE" and not TAKEN_BACK.fullmatch(place)):
+    if any(each.fullmatch(place) for each in ADMINISTERED_OF_EACH):
+        return Scope.ADMIN
+    if method == "DELETE" and not TAKEN_BACK.fullmatch(place):
         return Scope.ADMIN
     return Scope.BUILD if under(place, BUILDING) else Scope.MATCH
 

@@ -293,6 +293,7 @@ def warm(catalogues: Sequence[tuple[str, str]]) -> int:
     catalogues : sequence of (str, str)
         Folders and stamps, as in :class:`DiagnosisTask`.
     """
+    import jointplay.app.schemas.signals
     import jointplay.catalogue.diagnosing.diagnosis
     import jointplay.catalogue.measurements.measured_spectrum
     import jointplay.catalogue.signals.shown_views  # noqa: F401, loaded to be there when it is needed

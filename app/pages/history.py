@@ -73,6 +73,7 @@ def finding_row(row: FindingRow) -> dict[str, Any]:
     ]
     return {
         "at": spell_moment(row.at),
+        "id": row.id,
         "diagnosis": row.diagnosis,
         "joints": "; ".join(found),
         "text": row.text,

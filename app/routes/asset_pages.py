@@ -314,7 +314,7 @@ def machine_names(service: Service) -> list[str]:
     return sorted(known | {offer.machine.name for offer in service.shelf.offers()})
 
 
-def may_match(request: Request) -> bool:
-    """Return whether the session may note assets; without keys everybody may."""
+def may_match(request: Request, scope: Scope = Scope.MATCH) -> bool:
+    """Return whether the session may note assets, or what another scope allows; without keys everybody may."""
     scopes = getattr(request.state, "scopes", None)
-    return scopes is None or Scope.MATCH in scopes
+    return scopes is None or scope in scopes

@@ -33,6 +33,12 @@ class RetentionIn(Shape):
     ]
 
 
+class Reason(Shape):
+    """Why something is deleted, as a form says it."""
+
+    why: Annotated[str, Field(max_length=200, pattern=TEXT)]
+
+
 class RetentionOut(Shape):
     """How long a recording is kept."""
 
