@@ -51,7 +51,8 @@ PLAN = {
 KINDS = ("server", "worker", "builder", "database", "dask scheduler", "dask worker")
 BROKEN = {409, 425, 429, 500, 502, 503, 504}
 """Statuses after which the same request is sent again: 409 while the first one holds its Idempotency-Key."""
-PATIENCE_S = 600.0
+PATIENCE_S = 1800.0
+"""For one write: several times the five minutes for which a key is held whose server was killed, and killed again."""
 
 
 class Postgres:
@@ -335,6 +336,8 @@ def disturb(installation: Installation, clients: Clients, options: argparse.Name
             return killed
         if killed.total() < options.kills:
             kind = choice.choice(KINDS)
+            if choice.random() < 0.3 and any(installation.children(builder=True)):
+                kind = "builder"  # which is seldom there
             killed[kind] += installation.kill(kind, choice)
             if killed.total() % 10 == 0:
                 print(f"  {killed.total()} kills, {clients.acknowledged} acknowledged writes", flush=True)
