@@ -254,7 +254,7 @@ def successes(report: Path) -> Counter[str]:
         recorder = json.loads(line).get("ScenarioFinished", {}).get("recorder", {})
         for key, exchange in recorder.get("interactions", {}).items():
             case = recorder["cases"][key]["value"]
-            if 200 <= ((exchange["response"] or {}).get("status_code") or 0) < 300:
+            if 200 <= ((exchange.get("response") or {}).get("status_code") or 0) < 300:
                 found[f"{case['method'].upper()} {case['path']}"] += 1
     return found
 

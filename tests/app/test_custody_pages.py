@@ -50,14 +50,17 @@ def test_a_hold_is_said_and_lifted(client: httpx.Client, answer: dict[str, Any])
 
 def test_nothing_goes_unless_somebody_is_sure(client: httpx.Client, answer: dict[str, Any]) -> None:
     for folder, name, said in (
-        ("measurements", answer["measurement"], "recording"),
-        ("diagnoses", answer["id"], "diagnosis"),
-        ("assets", "going-1", "asset"),
+        ("measurements", answer["measurement"], "a recording"),
+        ("diagnoses", answer["id"], "a diagnosis"),
+        ("assets", "going-1", "an asset"),
     ):
         page = client.get(f"/{folder}/{name}/delete")
-        assert page.status_code == 200 and f"a {said}" in page.text
+        assert page.status_code == 200 and f" {said}</h1>" in page.text
         refused(
-            client.post(f"/{folder}/{name}/delete", data={"why": "x"}), 422, "sure", f"say that this {said} is to go"
+            client.post(f"/{folder}/{name}/delete", data={"why": "x"}),
+            422,
+            "sure",
+            f"say that this {said.split()[1]} is to go",
         )
         refused(client.post(f"/{folder}/{name}/delete", data={**SURE, "why": "a\u0001b"}), 422, "why", "why: ")
         assert client.get(f"{API}/{folder}/{name}").status_code == 200
