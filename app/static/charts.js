@@ -65,7 +65,15 @@
         ...figure.lines.map((line) => ({ width: 1.5, points: { show: false }, ...line.style, class: line.silent ? "silent" : undefined, label: line.name, value: (self, each) => value(each, line) })),
       ],
       bands: figure.bands,
-      cursor: { sync: inGroup, drag: { x: true, y: false, setScale: true }, bind: { dblclick: () => () => { reset(entry); } } },
+      cursor: {
+        sync: inGroup,
+        drag: { x: true, y: false, setScale: true },
+        bind: {
+          dblclick: () => () => reset(entry),
+          // The browser's echo of a touch comes late.
+          mousemove: (self, over, read) => (event) => event.sourceCapabilities?.firesTouchEvents || read(event),
+        },
+      },
       legend: { show: true },
       hooks: {
         draw: [(chart) => figure.paint && paint(figure, chart)],
@@ -137,6 +145,7 @@
     const { chart } = entry;
     const [low, high] = chart.series[0].idxs;
     const at = Math.max(low, Math.min(high, index));
+    entry.read = at;
     chart.setCursor({ left: chart.valToPos(chart.data[0][at], "x"), top: chart.over.clientHeight / 2 });
     entry.said.textContent = chart.series.map((line, number) => {
       const value = chart.data[number][at];
@@ -163,7 +172,7 @@
     if (!entry || !KEYS[event.key] || event.ctrlKey || event.metaKey || event.altKey) return;
     event.preventDefault();
     const [low, high] = entry.chart.series[0].idxs;
-    KEYS[event.key](entry, entry.chart.cursor.idx ?? Math.round((low + high) / 2));
+    KEYS[event.key](entry, entry.chart.cursor.idx ?? entry.read ?? Math.round((low + high) / 2));
   };
 
   // One finger reads out, two zoom and pan; upwards and downwards the page moves as ever.
@@ -171,12 +180,11 @@
     const { over } = entry.chart;
     const fingers = new Map();
     let pinch = null;
-    const place = (event) => event.clientX - over.getBoundingClientRect().left;
     const touched = (event) => {
       if (event.pointerType !== "touch") return;
-      if (event.type === "pointerdown") fingers.set(event.pointerId, place(event));
+      if (event.type === "pointerdown") fingers.set(event.pointerId, event.offsetX);
       if (!fingers.has(event.pointerId)) return;
-      fingers.set(event.pointerId, place(event));
+      fingers.set(event.pointerId, event.offsetX);
       const spots = [...fingers.values()].sort((a, b) => a - b);
       if (spots.length === 1) {
         entry.chart.setCursor({ left: spots[0], top: over.clientHeight / 2 }, true, true);

@@ -2,7 +2,7 @@
 "use strict";
 
 (() => {
-  const { colour, shade, drawChart, chartAt, addChartKind, byId } = window.jointplay;
+  const { colour, shade, drawChart, chartAt, addChartKind, byId, make } = window.jointplay;
   const figures = new Map();
   const VIEWS = ["spectrum", "waveform", "revolution", "spectrogram"];
   const DECIBELS = 20;
@@ -135,9 +135,7 @@
 
   const picture = (map) => {
     const loudest = Math.max(...map.levels_db.map((row) => Math.max(...row)));
-    const canvas = document.createElement("canvas");
-    canvas.width = map.levels_db[0].length;
-    canvas.height = map.levels_db.length;
+    const canvas = make("canvas", { width: map.levels_db[0].length, height: map.levels_db.length });
     const pen = canvas.getContext("2d");
     const image = pen.createImageData(canvas.width, canvas.height);
     for (const [row, levels] of map.levels_db.entries()) {
@@ -156,12 +154,12 @@
     const unit = pretty(found.map.unit);
     const parts = (next) => ({ at: next.at, map: next.map, image: picture(next.map), lines: [{ name: next.lines[0].name, unit, values: next.at.map(() => null), style: { stroke: colour("--measured") } }],
       csv: { head: [axisOf(next), ...next.map.rows.map((row) => `${row} [dB re 1 ${next.map.unit}]`)], rows: next.at.map((at, column) => [at, ...next.map.levels_db.map((levels) => levels[column])]) } });
-    const figure = {
+    return {
       ...parts(found),
       x: { name: found.axis, label: axisOf(found) },
       y: { label: found.axis === "revolution" ? "order of the drive" : "frequency, Hz", range: [low, high] },
       value: () => {
-        const { chart } = chartAt(place("spectrogram")) || {};
+        const { chart, figure } = chartAt(place("spectrogram")) || {};
         const column = chart?.cursor.idx;
         if (column == null || chart.cursor.top < 0) return "–";
         const at = chart.posToVal(chart.cursor.top, "y");
@@ -175,7 +173,6 @@
       },
       refine: async (from, to, signal) => parts(await fetched(address(key, "spectrogram", look, { from: Math.max(0, from), to }), signal)),
     };
-    return figure;
   };
 
   const orbit = (found) => {
@@ -186,7 +183,7 @@
     const width = Math.min(place("orbit").clientWidth, 420);
     return {
       at: [-reach, reach],
-      lines: [{ name: "path", values: [null, null], style: { stroke: tone(0) } }],
+      lines: [{ name: "path", values: [], style: { stroke: tone(0) } }],
       height: width,
       x: { name: "x", label: `x, ${unit}` },
       y: { label: `y, ${unit}`, range: [-reach, reach] },

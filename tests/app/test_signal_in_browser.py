@@ -124,6 +124,15 @@ def test_cursors_are_coupled_and_read_out_by_mouse_touch_and_keys(visit: Visit, 
     page.keyboard.press("Home")
     said = charts.nth(2).locator("xpath=following-sibling::div[1]").get_by_role("status")
     expect(said).to_contain_text("order 1,")
+    # Neither a page that moves from under the mouse nor the browser's echo of a touch takes the place from the keys.
+    charts.nth(1).locator(".u-over").evaluate("""(over) => {
+      const sourceCapabilities = new InputDeviceCapabilities({ firesTouchEvents: true });
+      const [clientX, clientY] = [over.getBoundingClientRect().left + 90, over.getBoundingClientRect().top + 40];
+      over.dispatchEvent(new MouseEvent("mousemove", { clientX, clientY, sourceCapabilities }));
+    }""")
+    assert first.first.inner_text() in ("–", "1")
+    charts.nth(1).locator(".u-over").dispatch_event("mouseleave")
+    expect(first.first).to_have_text("–")
     page.keyboard.press("ArrowRight")
     expect(said).to_contain_text("order 2,")
     whole = axis(charts.nth(2))
