@@ -144,27 +144,43 @@ def test_a_file_that_is_refused_is_said_once_and_tried_again_when_it_has_grown(
     assert [entry["state"] for entry in journal(folder)] == ["sending", "refused", "sending", "sent"]
 
 
-def test_a_file_is_left_alone_while_it_changes(folder: Path, told: Callable[..., Told]) -> None:
-    got, watcher = told(), Watcher(folder, NONE, 3600.0)
+@pytest.fixture
+def passing(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
+    """A clock of the watcher's own, and how to let time pass on it."""
+    moment = [0.0]
+
+    def wait(seconds: float) -> None:
+        moment[0] += seconds
+
+    monkeypatch.setattr(watch, "time", SimpleNamespace(**{**vars(time), "monotonic": lambda: moment[0], "sleep": wait}))
+    return wait
+
+
+def test_a_file_is_left_alone_while_it_changes(
+    folder: Path, told: Callable[..., Told], passing: Callable[[float], None]
+) -> None:
+    got, watcher = told(), Watcher(folder, NONE, 5.0)
     (folder / "a.csv").write_bytes(b"1\n")
+    assert watcher._look()  # seen for the first time
+    passing(4.0)
+    (folder / "a.csv").write_bytes(b"1\n2\n")
+    assert watcher._look()  # changed since
+    passing(4.0)
     assert watcher._look()
     assert not got.got
-    short = Watcher(folder, NONE, 1e-6)
-    assert short._look()  # seen for the first time
-    (folder / "a.csv").write_bytes(b"1\n2\n")
-    assert short._look()  # changed since
-    assert not got.got
-    time.sleep(0.01)
-    short._look()
+    passing(1.0)
+    watcher._look()
     assert [content for _, content, _ in got.got] == [b"1\n2\n"]
 
 
-def test_a_text_that_does_not_end_with_a_line_is_waited_for_longer(folder: Path, told: Callable[..., Told]) -> None:
-    got, watcher = told(), Watcher(folder, NONE, 0.05)
+def test_a_text_that_does_not_end_with_a_line_is_waited_for_longer(
+    folder: Path, told: Callable[..., Told], passing: Callable[[float], None]
+) -> None:
+    got, watcher = told(), Watcher(folder, NONE, 5.0)
     (folder / "a.csv").write_bytes(b"1\n2")
     (folder / "b.wav").write_bytes(b"RIFF")
     watcher._look()
-    time.sleep(0.1)
+    passing(5.0 * watch.UNENDED - 1.0)
     watcher._look()
     assert [name for name, _, _ in got.got] == ["b.wav"]
     watcher.run(once=True)
