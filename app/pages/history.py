@@ -12,6 +12,12 @@ from jointplay.app.storage.assets import FindingRow
 from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
 from jointplay.app.words import spell_moment
 
+PLACES = (0.12, 0.5, 0.3, 0.7, 0.88)
+"""Where along the axis the text of a limit may stand."""
+
+ROOM = (0.16, 0.05)
+"""Half the width and the height of such a text beside the axes, on a narrow screen."""
+
 FORESEEN_S = 60 * 86400.0
 """How far ahead a chart looks at least, where a limit is foretold [s]."""
 
@@ -142,7 +148,7 @@ def course(
     events : sequence of mapping
         ``at``, ``kind``, and where they have them ``joint`` and ``um``.
     limits : sequence of mapping
-        ``um`` and ``text``.
+        ``um`` and ``text``; the time at which the text stands is found here.
     reached : sequence of mapping
         ``um`` of a limit, and ``at``: when it is reached at the earliest, likely, and at the latest.
     """
@@ -154,15 +160,46 @@ def course(
     end = min(farthest, max([last, *late]))
     margin = max(0.05 * (end - first), 1800.0)
     sizes = [point["high"] for point in points] + [each.get("um") or 0.0 for each in (*events, *limits)]
+    ends, top = (first - margin, end + margin), 1.1 * max([1.0, *sizes])
+    taken = [(point["at"], point["low"], point["high"]) for point in points]
+    taken += [(each["at"], each["um"], each["um"]) for each in events if each.get("um") is not None]
     return {
         "label": "radial clearance, µm",
         "joints": joints,
         "events": events,
-        "limits": limits,
+        "limits": with_places(limits, taken, ends, top),
         "reached": reached,
-        "ends": [first - margin, end + margin],
-        "top": 1.1 * max([1.0, *sizes]),
+        "ends": list(ends),
+        "top": top,
     }
+
+
+def with_places(
+    limits: Sequence[Mapping[str, Any]], taken: list[tuple[float, float, float]], ends: tuple[float, float], top: float
+) -> list[dict[str, Any]]:
+    """Return limits with ``at``: where their text is least in the way of what is drawn, and of each other.
+
+    Parameters
+    ----------
+    limits : sequence of mapping
+        ``um`` and ``text``.
+    taken : list of tuple
+        Time, lowest and highest clearance of what is drawn besides.
+    ends : tuple of float
+        Of the axis of time.
+    top : float
+        Of the axis of clearance [µm].
+    """
+    begin, span = ends[0], ends[1] - ends[0]
+    found: list[dict[str, Any]] = []
+    for limit in sorted(limits, key=lambda each: float(each["um"])):
+        low, high = limit["um"] - ROOM[1] * top, limit["um"] + 2 * ROOM[1] * top
+        near = [at for at, lowest, highest in taken if lowest < high and highest > low]
+        places = [begin + share * span for share in PLACES]
+        at = min(places, key=lambda place: sum(abs(place - each) < ROOM[0] * span for each in near))
+        found.append({**limit, "at": at})
+        taken = [*taken, (at, limit["um"], limit["um"] + ROOM[1] * top)]
+    return found
 
 
 def summary(joints: Sequence[str], points: Mapping[str, Sequence[Mapping[str, float]]], count: int, found: int) -> str:

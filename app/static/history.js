@@ -20,7 +20,7 @@
     }
     for (const limit of data.limits) {
       line([[x(begin), y(limit.um)], [x(end), y(limit.um)]], colour("--bad"), 2, [6, 4]);
-      text(limit.text, x(begin) + 6, y(limit.um) - 5, colour("--bad"));
+      text(limit.text, x(limit.at), y(limit.um) - 5, colour("--bad"), "center");
     }
   };
 

@@ -20,6 +20,7 @@ from service_process import client_of, service_process
 from small_service import serving
 from webhook_listener import Listener, listening
 
+from jointplay.app.pages.history import with_places
 from jointplay.app.schemas.webhooks import EVENTS
 from jointplay.app.scopes import Scope
 from jointplay.app.settings import ServiceSettings
@@ -247,6 +248,16 @@ def test_a_change_outlives_kill_9_and_is_told_once_by_two_servers(shelf: Path, t
         assert own.told.empty()
 
 
+def test_the_text_of_a_limit_stands_where_there_is_room() -> None:
+    ends, limits = (0.0, 100.0), [{"um": 100.0, "text": "limit A"}, {"um": 104.0, "text": "limit B"}]
+    free = with_places(limits[:1], [(50.0, 20.0, 60.0)], ends, 200.0)
+    assert free == [{"um": 100.0, "text": "limit A", "at": pytest.approx(12.0)}]
+    # A finding stands at the first place, a bar over the second, and the text of the other limit is in the way as well.
+    taken = [(10.0, 105.0, 105.0), (55.0, 40.0, 120.0)]
+    first, second = (each["at"] for each in with_places(limits, taken, ends, 200.0))
+    assert first == pytest.approx(30.0) and second == pytest.approx(88.0)
+
+
 def test_the_trend_has_limits_findings_and_the_date_of_each(service: httpx.Client) -> None:
     put(service, "life-4", limits_um={"B": 400})
     first = datetime.now(UTC).replace(microsecond=0) - timedelta(days=40)
@@ -256,7 +267,8 @@ def test_the_trend_has_limits_findings_and_the_date_of_each(service: httpx.Clien
     service.post(f"{API}/diagnoses/{answer['id']}/finding", json=found).raise_for_status()
     page = service.get("/assets/life-4/state").text
     drawn = json.loads(html.unescape(re.findall(r'data-history="([^"]+)"', page)[0]))
-    assert drawn["limits"] == [{"um": 400.0, "text": "limit B"}]
+    (limit,) = drawn["limits"]
+    assert (limit["um"], limit["text"]) == (400.0, "limit B") and drawn["ends"][0] < limit["at"] < drawn["ends"][1]
     assert {"at": (first + timedelta(days=21)).timestamp(), "kind": "finding", "joint": "B", "um": 180} in drawn[
         "events"
     ]
