@@ -9,8 +9,8 @@ from typing import Any
 
 import databases
 import pytest
+from life_cycle import CONTENT, files, stored
 from sqlalchemy import create_engine, event, text
-from test_life_cycle import CONTENT, files, stored
 
 from jointplay.app.errors import DeletedError, InUseError
 from jointplay.app.storage import retention
