@@ -169,7 +169,7 @@ def test_who_may_not_build_is_told_so(tmp_path: Path) -> None:
         store = Store(settings.data)
         token = Keys(store.database).create("reader", frozenset({Scope.READ, Scope.MATCH}), timedelta(days=1))[1]
         store.close()
-        with httpx.Client(base_url=address, headers={**HTML, "Origin": address}) as reader:
+        with httpx.Client(base_url=address, headers={**HTML, "Origin": address}, timeout=300) as reader:
             reader.post("/sign-in", data={"key": token})
             page = reader.get("/builds").text
             assert "it has not the scope <code>build</code>" in page and "<select" not in page

@@ -267,7 +267,7 @@ def test_serve_runs_until_ctrl_c(tmp_path: Path) -> None:
         lines = iter(process.stderr.readline, "")
         address = next(line for line in lines if "serving" in line).split()[-1]
         assert next(line for line in lines if "startup complete" in line)
-        assert httpx.get(f"{address}/healthz").json() == {"status": "ok"}
+        assert httpx.get(f"{address}/healthz", timeout=300).json() == {"status": "ok"}
         taken = subprocess.run(
             [*JOINTPLAY, "serve", "--port", address.rpartition(":")[2]], capture_output=True, text=True, cwd=tmp_path
         )

@@ -112,7 +112,7 @@ def test_who_sends_no_whole_head_is_left(pages: Pages, begun: bytes, monkeypatch
     with running(pages) as address, talking(address, begun) as idle, talking(address, begun) as dripping:
         assert has_ended(idle)
         drip(dripping, b"a")
-        assert httpx.get(f"{address}/quick").text == "here"
+        assert httpx.get(f"{address}/quick", timeout=300).text == "here"
 
 
 def test_a_body_that_comes_after_its_answer_does_not_hold_the_connection(
@@ -153,7 +153,7 @@ def test_whoever_has_waited_longest_makes_room(pages: Pages, monkeypatch: pytest
     monkeypatch.setattr(connections, "HEAD_S", 600.0)  # of no matter here, however slow the computer is
     with running(pages, most=4) as address, contextlib.ExitStack() as stack:
         silent = [stack.enter_context(talking(address)) for _ in range(4)]
-        assert httpx.get(f"{address}/quick").text == "here"
+        assert httpx.get(f"{address}/quick", timeout=300).text == "here"
         assert has_ended(silent[0])
         assert is_open(silent[3])
 
@@ -171,7 +171,7 @@ def test_who_has_a_request_does_not(pages: Pages) -> None:
         answer = b""
         while b"here" not in answer:
             answer += held[0].recv(65536)
-        assert httpx.get(f"{address}/quick").text == "here"
+        assert httpx.get(f"{address}/quick", timeout=300).text == "here"
 
 
 def test_one_address_does_not_take_the_place_of_others(pages: Pages, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -241,7 +241,7 @@ def test_a_rush_never_takes_more_places_than_there_are(pages: Pages, monkeypatch
     with running(pages, most=10) as address, contextlib.ExitStack() as stack:
         for _ in range(120):
             stack.enter_context(talking(address))
-        assert httpx.get(f"{address}/quick").text == "here"
+        assert httpx.get(f"{address}/quick", timeout=300).text == "here"
     assert len(counts) > 100
     assert max(counts) == 10
 

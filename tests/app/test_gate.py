@@ -58,11 +58,11 @@ def test_a_request_stops_waiting_for_its_body_and_a_client_is_slowed_down(strict
     with socket.create_connection((url.host, url.port), timeout=300) as connection:
         connection.sendall(f"{head}Content-Length: 100\r\n\r\n--x".encode())
         assert connection.recv(65536).startswith(b"HTTP/1.1 408 ")
-    answers = [httpx.get(f"{strict}{API}/machines") for _ in range(5)]
+    answers = [httpx.get(f"{strict}{API}/machines", timeout=300) for _ in range(5)]
     assert [answer.status_code for answer in answers] == [200] * 4 + [429]
     assert 900 < int(answers[-1].headers["retry-after"]) <= 1000
     assert answers[-1].json()["type"] == "urn:jointplay:problem:too-many-requests"
-    assert httpx.get(f"{strict}/healthz").status_code == 200
+    assert httpx.get(f"{strict}/healthz", timeout=300).status_code == 200
 
 
 @pytest.mark.parametrize(
@@ -142,8 +142,8 @@ def test_the_path_that_is_routed_is_the_path_that_is_judged(
     mounted: tuple[str, dict[str, str]], path: str, alone: int, reading: int
 ) -> None:
     address, reader = mounted
-    assert httpx.get(address + path).status_code == alone
-    assert httpx.get(address + path, headers=reader).status_code == reading
+    assert httpx.get(address + path, timeout=300).status_code == alone
+    assert httpx.get(address + path, headers=reader, timeout=300).status_code == reading
 
 
 def test_a_recording_may_be_larger_than_other_bodies_below_a_mount_too(tmp_path: Path) -> None:
@@ -153,7 +153,7 @@ def test_a_recording_may_be_larger_than_other_bodies_below_a_mount_too(tmp_path:
     with running(outer) as address:
         for path, status in (("measurements", 422), ("webhooks", 413)):
             sent = httpx.post(
-                f"{address}/plant{API}/{path}", content=body, headers={"Content-Type": "application/json"}
+                f"{address}/plant{API}/{path}", content=body, headers={"Content-Type": "application/json"}, timeout=300
             )
             assert sent.status_code == status
 

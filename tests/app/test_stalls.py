@@ -56,7 +56,7 @@ def test_every_route_tells_a_stalled_database_within_seconds(tmp_path: Path, kin
         settings = ServiceSettings(
             catalogues=tmp_path / "none", data=tmp_path / "data", database=url, workers=1, builds=0
         )
-        with asking(settings, timeout=20) as client:
+        with asking(settings, timeout=60) as client:
             assert client.get("/readyz").status_code == 200
             assert client.put(f"{API}/assets/a", json=ASSET).status_code == 201
             line.pause()
@@ -66,7 +66,7 @@ def test_every_route_tells_a_stalled_database_within_seconds(tmp_path: Path, kin
             with ThreadPoolExecutor(len(asked)) as pool:  # the first ones find out, all at once
                 answers = list(pool.map(lambda each: ask(client, *each), asked))
             elapsed = took(begun)
-            assert elapsed < 6.0  # 2.0 s where nothing else works
+            assert elapsed < stalls.STATEMENT_S  # 2.0 s where nothing else works
             for (_method, place), answer in zip(asked, answers, strict=True):
                 if place == "/metrics":
                     assert answer.status_code == 200

@@ -69,7 +69,7 @@ def test_what_runs_is_answered_and_streams_end(folder: Path, worn: bytes) -> Non
             rest = list(lines)  # it ends, though the build has not
             running.wait_for("Waiting for (connections to close|background tasks)")
             with pytest.raises(httpx.ConnectError):
-                httpx.get(f"{running.address}/healthz")
+                httpx.get(f"{running.address}/healthz", timeout=300)
             assert not answer.done()
             worker.resume()
             response = answer.result(300)
