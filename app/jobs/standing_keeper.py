@@ -93,4 +93,8 @@ class StandingKeeper:
             state: WearState = await self._pool.run(following.follow_life, life)
         except (DamagedRowError, NothingToFollowError, TaskFailedError, TimeLimitError, WorkerDiedError) as error:
             return told.model_copy(update={"failure": str(error)[:200]})
-        return told.model_copy(update={"joints": {name: JointKnown.of(each) for name, each in state.joints.items()}})
+        joints = {name: JointKnown.of(each) for name, each in state.joints.items()}
+        worn = {name for name, found in last.answer.joints.items() if found.condition == "worn"}
+        since = {repair.joint for repair in state.repairs if at is not None and repair.at > at}
+        repaired = last.answer.verdict == "worn" and bool(worn) and worn <= since
+        return told.model_copy(update={"joints": joints, "repaired": repaired})

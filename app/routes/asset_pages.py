@@ -266,9 +266,13 @@ def past(service: Service, external_id: str, cursor: str | None) -> dict[str, An
     baselines = [store.measurement(key) for key in row.in_order]
     recordings += [each for each in baselines if each.id not in {one.id for one in recordings}]
     findings = found.findings(None, SHOWN + 1, None, {"asset": external_id}, damaged)
-    newest = None
+    colours, drawn = dict[str, float](), ""
     if diagnoses and cursor is None:
-        newest = max(diagnoses, key=lambda each: (measured(each, measurements), each.number)).answer
+        last = max(diagnoses, key=lambda each: (measured(each, measurements), each.number))
+        since = [each.joints for each in findings if each.at > measured(last, measurements)]
+        repaired = {name for joints in since for name, told in joints.items() if told.get("repaired")}
+        colours = {name: share for name, share in joint_colours(last.answer).items() if name not in repaired}
+        drawn = colour_sentence(last.answer) + (f" Repaired since: {', '.join(sorted(repaired))}." if repaired else "")
     machine = service.machine_of(row.machine)
     wearing = () if machine is None else machine.wearing_joints
     limits = [(name, f"{1e6 * machine.joints[name].worn_out_from:.4g}") for name in wearing] if machine else []
@@ -276,8 +280,8 @@ def past(service: Service, external_id: str, cursor: str | None) -> dict[str, An
         "asset": asset_item(row),
         "standing": show_standing(row, now()),
         "limits": limits,
-        "drawing": "" if machine is None else machine_picture(machine, joint_colours(newest) if newest else {}),
-        "drawn": colour_sentence(newest) if newest else "",
+        "drawing": "" if machine is None else machine_picture(machine, colours),
+        "drawn": drawn,
         "stored": {
             "notes": row.notes,
             **{f"{BASELINE}{key}": "yes" for key in row.in_order},

@@ -175,6 +175,19 @@ class _Scored:
             return False
         return bool(np.linalg.norm(self.numbers) < np.linalg.norm(self.family.starts, axis=1).min())
 
+    @property
+    def is_meant(self) -> bool:
+        """Whether this is no more of a change than twice the largest that a search starts from: no mass below nothing.
+
+        What only a machine of other masses and springs by far explains is no recording of this machine.
+        """
+        if self.family is None:
+            return False
+        sizes = [abs(self.family.size(numbers)) for numbers in self.family.starts]
+        size = self.family.size(self.numbers)
+        least = min(sizes) / 2.0 if self.family.unit.startswith("x ") else -2.0 * max(sizes)
+        return least < size < 2.0 * max(sizes)
+
 
 def _score(
     known: LevelStatistics,
@@ -236,7 +249,7 @@ def _rank(scored: Sequence[_Scored]) -> tuple[NamedCause, ...]:
     found = []
     for (name, each), probability in zip(best.items(), share.tolist(), strict=True):
         family = each.family
-        if family and each.named and probability >= LEAST_PROBABILITY:
+        if family and each.named and each.is_meant and probability >= LEAST_PROBABILITY:
             size, suspension = family.size(each.numbers), family.suspension(each.numbers)
             found.append(NamedCause(name, size, family.unit, probability, suspension))
     return tuple(sorted(found, key=lambda cause: -cause.probability))

@@ -92,8 +92,11 @@ def find_causes(
 ) -> tuple[NamedCause, ...]:
     """Return the causes other than play that may be, beside wear as the recording seems to have it or without any.
 
-    What has changed since recordings of the machine in order is told by these, if it explains the difference.
+    What has changed since recordings of the machine in order is told by these, if it explains the difference. At a
+    speed that the catalogue has not seen every level is off, and what explains that best is no cause.
     """
+    if speed_warnings(prepared, catalogue):
+        return ()
     if past is not None and result.p_worn <= 0.5:
         if changes := name_changes(past.expected, catalogue):
             return changes

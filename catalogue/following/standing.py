@@ -74,6 +74,8 @@ class Known(Frozen):
         By all recordings; empty where none was diagnosed.
     failure : str
         Why its wear could not be followed; empty where it could.
+    repaired : bool
+        Whether all joints that this recording found worn were repaired after it.
     """
 
     heard_at: datetime | None = None
@@ -82,6 +84,7 @@ class Known(Frozen):
     diagnosis: str | None = None
     joints: Mapping[str, JointKnown] = {}
     failure: str = ""
+    repaired: bool = False
 
     @property
     def limit_at(self) -> tuple[datetime | None, datetime | None, datetime | None] | None:
@@ -188,6 +191,8 @@ def _judge_silence(known: Known, at: datetime, after: timedelta) -> Reason | Non
 def _judge_verdict(known: Known) -> Reason | None:
     if known.verdict == "changed":
         return Reason(about=VERDICT, state="watch", text="By its last recording it has changed, and not by play.")
+    if known.repaired:
+        return None
     if known.verdict == "worn" and not any(joint.p_worn >= LIKELY for joint in known.joints.values()):
         text = "Its last recording says that a joint is worn; all recordings together do not say so yet."
         return Reason(about=VERDICT, state="watch", text=text)

@@ -109,12 +109,17 @@ def test_a_worn_asset_from_its_first_recording_to_its_repair(service: httpx.Clie
     found = standing(service, "life-1")
     assert [reason["about"] for reason in found["reasons"]] == ["joint B", "recordings"]
     assert [told(listener)[0] for _ in range(2)] == ["asset.state_changed", "asset.silent"]
+    deep = re.compile(r"rgb\([\d ]+ / (1|0\.[5-9])")
+    assert deep.search(service.get("/assets/life-1").text)
     body = {"joints": {"B": {"clearance_um": 150, "repaired": True}}, "at": (moment + timedelta(hours=1)).isoformat()}
     service.post(f"{API}/diagnoses/{answer['id']}/finding", json=body).raise_for_status()
     put(service, "life-1")
     found = standing(service, "life-1")
-    assert [reason["about"] for reason in found["reasons"]] == ["verdict"]
-    assert told(listener)[0] == "asset.state_changed"
+    assert (found["state"], found["reasons"]) == ("in_order", [])
+    event, data = told(listener)
+    assert (event, data["state"]) == ("asset.state_changed", "in_order")
+    page = service.get("/assets/life-1").text
+    assert "Repaired since: B." in page and not deep.search(page)
     assert listener.told.empty()
 
 

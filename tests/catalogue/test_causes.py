@@ -12,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from jointplay.catalogue.diagnosing import causes
+from jointplay.catalogue.diagnosing.cause_families import IdealFrame, families_of
 from jointplay.catalogue.diagnosing.causes import NamedCause, least_of, name_causes
 from jointplay.catalogue.matching.model_library import one_thread
 from jointplay.catalogue.measurements.measurement import Channel, Recording
@@ -218,3 +219,19 @@ class _Other:
 
     catalogue: Catalogue
     machine: Machine
+
+
+def test_a_change_beyond_all_that_a_search_starts_from_is_not_meant() -> None:
+    families = {family.name: family for family in families_of(IdealFrame.of(FILED, SPEED))}
+
+    def meant(name: str, *numbers: float) -> bool:
+        return causes._Scored(families[name], 0.0, np.array(numbers), True).is_meant
+
+    (rod,) = (name for name in families if name == "mass of rod")
+    assert [meant(rod, factor - 1.0) for factor in (-2.58, 0.0, 0.2, 0.3, 3.5, 5.0)] == [False] * 3 + [True] * 2 + [
+        False
+    ]
+    mounts = [meant("all mounts", math.log(factor), 0.5 * math.log(factor)) for factor in (0.005, 0.02, 3.0, 5.4)]
+    assert mounts == [False, True, True, False]
+    ripple = "ripple of the drive, order 2"
+    assert [meant(ripple, *numbers) for numbers in ((0.0, 0.0), (0.02, 0.02), (-0.03, 0.03))] == [True, True, False]

@@ -249,6 +249,16 @@ def test_what_would_tell_hypotheses_apart_is_said_where_they_are_not(small_catal
     assert diagnose(single, small_catalogue, mode="trusted", effort="fast").suggestions == ()
 
 
+@pytest.mark.parametrize("number", [3, 5, 6])
+@pytest.mark.parametrize("rpm", [590.0, 600.0, 620.0, 120.0])
+def test_a_recording_of_another_machine_has_no_cause_in_this_one(
+    number: int, rpm: float, small_catalogue: Catalogue
+) -> None:
+    foreign = read_measurement(RECORDINGS / f"quick-return-{number:02}.csv.gz")
+    answer = diagnose(foreign, small_catalogue, speed=rpm * np.pi / 30.0)
+    assert (answer.verdict, answer.causes) == ("unknown", ())
+
+
 def test_warns_of_what_the_catalogue_does_not_cover(small_catalogue: Catalogue) -> None:
     measurement = recording(4)
     speed = TRUTH["slider-crank-04"]["speed_rpm"] * np.pi / 30.0

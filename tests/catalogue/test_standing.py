@@ -60,6 +60,8 @@ def known(verdict: Any = "in_order", heard: float = -1.0, failure: str = "", **j
         (known("worn", B=joint(1.0, 0.0, 140.0, 900)), "watch", ["Joint B is worn: 140 µm, below its limit"]),
         (known(A=joint(0.2, 0.0, 20.0, 10)), "in_order", []),
         (known("worn"), "watch", ["Its last recording says that a joint is worn"]),
+        (known("worn").model_copy(update={"repaired": True}), "in_order", []),
+        (known("worn", B=joint(1.0, 0.9, 250.0)).model_copy(update={"repaired": True}), "alarm", ["Joint B is beyond"]),
         (known("changed"), "watch", ["it has changed, and not by play"]),
         (known("unknown"), "unknown", ["Its last recording has no verdict."]),
         (known(heard=-31.0), "unknown", ["No recording since 2026-05-01, for more than 30 days."]),
