@@ -22,7 +22,7 @@ from jointplay.solver.equations.drive import drive_rates
 from jointplay.solver.machines.fault import HEALTHY, Fault
 from jointplay.solver.machines.joints import SlidingJoint
 from jointplay.solver.machines.machine import Machine
-from jointplay.solver.machines.parts import RotationDrive
+from jointplay.solver.machines.parts import ForceDrive, RotationDrive, TorqueDrive
 from jointplay.solver.machines.remarks import drawing_remarks, film_remarks, restitution_remarks
 
 #: Orders that every crank shakes its frame with, by masses that go round and to and fro; those of the shipped
@@ -62,6 +62,7 @@ def find_remarks(machine: Machine, fault: Fault = HEALTHY) -> list[str]:
     return [
         *drawing_remarks(machine),
         *change_point_remarks(machine, (), {}),
+        *_freedom_remarks(felt),
         *_suspension_remarks(felt),
         *_wedging_remarks(felt),
         *restitution_remarks(machine, machine.wearing_joints),
@@ -103,6 +104,18 @@ def _modes_of(machine: Machine) -> Iterator[tuple[str, complex]]:
     if machine.supports:
         model = standing_model(without_dry_friction(machine), (), ())
         yield from _modes(suspension_of(model, model.vector({})))
+
+
+def _freedom_remarks(machine: Machine) -> Iterator[str]:
+    """Motions that neither are the frame's nor follow from the drive."""
+    if machine.drive is None:
+        return
+    model = standing_model(machine, (), ())
+    forced = isinstance(machine.drive, (TorqueDrive, ForceDrive))
+    free = model.degrees_of_freedom - len(model.frame_coordinates) - forced
+    if free > 0:
+        motions = f"{free} motion{'s' * (free > 1)} of links besides the frame's"
+        yield f"drive: {motions} do{'es' * (free == 1)} not follow from it; is a joint missing?"
 
 
 def _suspension_remarks(machine: Machine) -> Iterator[str]:

@@ -63,6 +63,16 @@ def test_a_crank_without_length() -> None:
     assert len(remarks_on(changed("joints.A.at", [0.0, 0.05]))) == 1
 
 
+def test_a_drive_that_does_not_move_all_of_it() -> None:
+    tree = changed("drive", {"kind": "torque", "joint": "O", "torque": "1 N m"})
+    assert not any("follow" in line for line in remarks_on(tree))
+    del tree["joints"]["B"]
+    line = "drive: 2 motions of links besides the frame's do not follow from it; is a joint missing?"
+    assert line in remarks_on(tree)
+    tree["drive"] = {"kind": "rotation", "joint": "O", "speed": "600 rpm"}
+    assert line in remarks_on(tree)
+
+
 def test_joints_of_what_stands_may_be_at_one_place() -> None:
     bob = {"mass": 1, "inertia": 0.01, "cg": [0, -1]}
     hung = {"kind": "turning", "at": [0, 0]}
