@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from typing import Any, cast, get_args
+from urllib.parse import urlencode
 
 from fastapi import APIRouter, Request
 from starlette.concurrency import run_in_threadpool
@@ -15,6 +16,7 @@ from jointplay.app.jobs.quality_cards import joint_cells, quality_line
 from jointplay.app.pages import browsing
 from jointplay.app.pages.page_forms import messages_of, quantity_of
 from jointplay.app.routes.pages import KNOWN_ASSETS, REFUSALS, context
+from jointplay.app.routes.try_pages import WEAR
 from jointplay.app.rows import NAMES, length, micrometres, order
 from jointplay.app.service import Service, of_request
 from jointplay.app.shelves.catalogues import Offer
@@ -144,6 +146,10 @@ async def show_nearest(service: Service, offer: Offer, chosen: dict[str, str]) -
         "name": what,
         "key": found["key"],
         "speed": f"{found['speed_rpm']:.5g} rpm",
+        "again": urlencode(
+            {"catalogue": offer.description.name, "speed": f"{found['speed_rpm']:.5g}"}
+            | {f"{WEAR}{joint}": f"{size:.4g}" for joint, size in sizes.items()}
+        ),
         "healthy_entries": found["healthy_entries"],
         "family": [length(each["clearance_um"]) for each in found["family"]],
         "baseline": chosen["asset"] if found["baseline"] else "",
