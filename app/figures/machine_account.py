@@ -64,7 +64,7 @@ def account_of(machine: Machine, fault: Fault, sizes: Account, arrays: bool = Fa
             {"motion": mode.motion, "frequency_hz": mode.frequency, "damping_ratio": mode.damping_ratio}
             for mode in suspension_modes(machine)
         ],
-        "notes": [*speed_remarks(written), *find_remarks(machine, fault)],
+        "notes": [*find_remarks(machine, fault), *speed_remarks(written)],
     }
     if isinstance(matrix, MechanismMatrix):
         content["mechanism_matrix"] = {
