@@ -190,13 +190,13 @@ def play_of(found: JointClearance | JointState, joint: str = "") -> Play:
     bound = found.bound if isinstance(found, JointState) else "none"
     if bound != "none":
         return Play(f"at least {length(low)}" if bound == "at_least" else f"at most {length(high)}", "", joint)
-    scale, unit = _unit(high)
+    scale, unit = _unit(low, high)
     return Play(f"{scaled(found.clearance_um, scale)} {unit}", f"{scaled(low, scale)} to {scaled(high, scale)}", joint)
 
 
 def between(low: float, high: float) -> str:
     """Return an interval of clearances with its unit."""
-    scale, unit = _unit(high)
+    scale, unit = _unit(low, high)
     return f"{scaled(low, scale)} to {scaled(high, scale)} {unit}"
 
 
@@ -207,12 +207,13 @@ def show_unit(unit: str) -> str:
 
 def length(value: float) -> str:
     """Return a clearance [µm] with its unit, mm from 1 mm on."""
-    scale, unit = _unit(value)
+    scale, unit = _unit(value, value)
     return f"{scaled(value, scale)} {unit}"
 
 
-def _unit(largest: float) -> tuple[float, str]:
-    return (1e-3, "mm") if largest >= 999.5 else (1.0, "µm")
+def _unit(smallest: float, largest: float) -> tuple[float, str]:
+    # One unit for a line: what is of both sizes is read in the smaller one, "0.9 to 1860 µm".
+    return (1e-3, "mm") if largest >= 999.5 and smallest >= 99.5 else (1.0, "µm")
 
 
 def scaled(value: float, scale: float) -> str:

@@ -47,7 +47,7 @@ def command(
         plots.check_ending(response)
     from jointplay.solver.errors import AssemblyError
     from jointplay.solver.machines.fault import parse_fault
-    from jointplay.solver.machines.machine import load_machine
+    from jointplay.solver.machines.machine import load_machine, machine_text
     from jointplay.solver.simulation.account import account
     from jointplay.solver.simulation.simulate import check_assembly
 
@@ -56,7 +56,7 @@ def command(
     try:
         sizes = account(found, state)
         check_assembly(found)
-        content = account_of(found, state, sizes, arrays)
+        content = account_of(found, state, sizes, arrays, machine_text(machine))
     except AssemblyError as error:
         if drawing is not None:
             save_drawing(found, state.joints, drawing, error.joint)

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from jointplay.solver.simulation.account import Account
 
 
-def account_of(machine: Machine, fault: Fault, sizes: Account, arrays: bool = False) -> dict[str, Any]:
+def account_of(machine: Machine, fault: Fault, sizes: Account, arrays: bool = False, text: str = "") -> dict[str, Any]:
     """Return everything that there is to say of a machine as JSON values.
 
     Parameters
@@ -24,12 +24,17 @@ def account_of(machine: Machine, fault: Fault, sizes: Account, arrays: bool = Fa
         Of both.
     arrays : bool
         Whether the paper's arrays are wanted with the mechanism matrix.
+    text : str
+        Of its file, which says what a machine does not: how a number was written.
     """
     from jointplay.solver.cases.answers import say_band
     from jointplay.solver.cases.remarks import find_remarks, suspension_modes
     from jointplay.solver.machines.matrix import MechanismMatrix
+    from jointplay.solver.machines.remarks import speed_remarks
+    from jointplay.solver.machines.yamlfile import read_tree
 
     matrix = matrix_of(machine, fault)
+    written = read_tree(text, machine.name) if text else {}
 
     content: dict[str, Any] = {
         "name": machine.name,
@@ -59,7 +64,7 @@ def account_of(machine: Machine, fault: Fault, sizes: Account, arrays: bool = Fa
             {"motion": mode.motion, "frequency_hz": mode.frequency, "damping_ratio": mode.damping_ratio}
             for mode in suspension_modes(machine)
         ],
-        "notes": find_remarks(machine, fault),
+        "notes": [*find_remarks(machine, fault), *speed_remarks(written)],
     }
     if isinstance(matrix, MechanismMatrix):
         content["mechanism_matrix"] = {

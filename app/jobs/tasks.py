@@ -213,15 +213,19 @@ class MachineLook:
         As ``jointplay check --json`` prints it; None for a file that would be refused.
     refusal : Problem or None
         Why it would be.
+    drive : str
+        In a few words, with its speed.
     """
 
     drawing: str
     account: dict[str, Any] | None
     refusal: Problem | None
+    drive: str = ""
 
 
 def look_at_machine(text: str, name: str) -> MachineLook:
     """Read a machine file as :func:`check_machine` does, draw it, and tell what the program makes of it."""
+    from jointplay.app.figures.machine_account import drive_of
     from jointplay.solver.errors import AssemblyError, SolverError
     from jointplay.solver.machines.drawing import machine_svg
 
@@ -230,7 +234,7 @@ def look_at_machine(text: str, name: str) -> MachineLook:
     except SolverError as error:
         return MachineLook("", None, problem_of(error))
     try:
-        return MachineLook(machine_svg(machine), account_for(machine, text), None)
+        return MachineLook(machine_svg(machine), account_for(machine, text), None, drive_of(machine))
     except SolverError as error:
         gap = error.joint if isinstance(error, AssemblyError) else None
         return MachineLook(machine_svg(machine, open_joint=gap), None, problem_of(error))
@@ -243,7 +247,7 @@ def account_for(machine: Machine, text: str) -> dict[str, Any]:
 
     sizes = sizes_of(machine, text)
     with lines_of(text):
-        return account_of(machine, Fault({}), sizes)
+        return account_of(machine, Fault({}), sizes, text=text)
 
 
 def parse_lines(text: str, name: str) -> Machine:

@@ -88,11 +88,11 @@ def look_view(look: MachineLook) -> dict[str, Any]:
         "drawing": look.drawing,
         "line": line,
         "refusal": said.removeprefix(f"{SOURCE}: ").removeprefix(f"line {line}: "),
-        "account": None if look.account is None else account_view(look.account),
+        "account": None if look.account is None else account_view(look.account, look.drive),
     }
 
 
-def account_view(account: Mapping[str, Any]) -> dict[str, Any]:
+def account_view(account: Mapping[str, Any], drive: str) -> dict[str, Any]:
     """Return what the program makes of a machine, in words."""
     held = [*account["coordinates"], *account["closures"]]
     freedoms, integrated = account["degrees_of_freedom"], account["integrated_degrees_of_freedom"]
@@ -100,6 +100,7 @@ def account_view(account: Mapping[str, Any]) -> dict[str, Any]:
         "facts": [
             ("Links", ", ".join(account["links"])),
             ("Joints", ", ".join([*account["turning_joints"], *account["sliding_joints"]])),
+            ("Drive", drive),
             ("Degrees of freedom", f"{freedoms}, of which {integrated} are integrated"),
             ("Modelled", f"{len(held)} of {account['unknowns_3n_2j']} unknowns{': ' if held else ''}{', '.join(held)}"),
         ],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -17,14 +18,21 @@ from jointplay.app.service import speed_of
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.matching.prior import Prior
 from jointplay.catalogue.signals.sensors import match_by_name
+from jointplay.solver.errors import UnitError
 from jointplay.solver.machines.machine import Machine
+from jointplay.solver.machines.units import Dimension, to_si
 
 SAID = tuple(sorted(TOLD))
+NUMBERS = ("sample_rate", "full_scale", "pulses_per_revolution", "reference")
+"""Fields of a file that are one number, some with a unit."""
 UPLOAD = ("catalogue", "file", "asset", *SAID)
 CONFIRM = ("measurement", "catalogue", "asset", "speed", "effort", "mode", "prior", "mapping")
 NOT_USED = "-"
 TEXT_BYTES = 1_000_000
 """Largest form with a whole text in it."""
+COMMA = re.compile(r"([+-]?\d*),(\d+)(\D.*)?")
+THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}(\D.*)?")
+LOCAL = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d(:\d\d)?")
 
 
 async def plain_form(request: Request, text: str = "") -> dict[str, str]:
@@ -73,7 +81,7 @@ def read_form(given: Mapping[str, str], columns: Sequence[str], machine: Machine
     members: dict[str, Any] = {
         name: given[name] for name in ("measurement", "catalogue", "asset", "effort", "mode") if name in given
     }
-    speed = given.get("speed", "")
+    speed = with_point(given.get("speed", ""), "speed")
     if speed and speed != given.get("estimated"):
         # The page asks for revolutions per minute; whoever writes a unit is believed.
         members["speed"] = f"{speed} rpm" if plain_number(speed) else speed
@@ -135,17 +143,61 @@ def plain_number(text: str) -> bool:
     return True
 
 
-def number_of(text: str, field: str) -> float:
+def with_point(text: str, field: str, what: str = "") -> str:
+    """Return a number that was typed, or one with a unit, with a point for a decimal comma.
+
+    Raises
+    ------
+    BadFieldError
+        For "1,500", which is another number to every second reader.
+    """
+    if THOUSANDS.fullmatch(text):
+        plain, point = text.replace(",", ""), text.replace(",", ".")
+        raise BadFieldError(f"{what or field}: {text[:80]}: write {plain[:80]} or {point[:80]}", field=field)
+    return COMMA.sub(r"\1.\2\3", text) if COMMA.fullmatch(text) else text
+
+
+def number_of(text: str, field: str, what: str = "") -> float:
     """Return a number that was typed, a whole one as such.
+
+    Parameters
+    ----------
+    text : str
+    field : str
+        Of the form, that is marked.
+    what : str
+        What a refusal names, where that is not the field.
 
     Raises
     ------
     BadFieldError
     """
-    if not plain_number(text):
-        raise BadFieldError(f"{field}: {text[:80]}: must be a number", field=field)
-    value = float(text)
+    written = with_point(text, field, what)
+    if not plain_number(written):
+        raise BadFieldError(f"{what or field}: {text[:80]}: must be a number", field=field)
+    value = float(written)
     return int(value) if value.is_integer() else value
+
+
+def quantity_of(text: str, what: str, field: str, dimension: Dimension, unit: str) -> float:
+    """Return a number that was typed as SI; without a unit it is in that of its field.
+
+    Raises
+    ------
+    BadFieldError
+    """
+    written = with_point(text, field, what)
+    try:
+        return to_si(f"{written} {unit}" if plain_number(written) else written, dimension)
+    except UnitError as error:
+        raise BadFieldError(f"{what}: {text[:80]}: {error}", field=field) from None
+
+
+def moment_of(text: str) -> str:
+    """Return a moment that was typed; one without a zone comes from a browser without scripts, whose label says UTC."""
+    if not LOCAL.fullmatch(text):
+        return text
+    return f"{text}Z" if text.count(":") == 2 else f"{text}:00Z"
 
 
 def messages_of(problem: Problem, fields: Sequence[str]) -> dict[str, str]:

@@ -49,7 +49,7 @@ def signal_view(service: Service, key: str) -> dict[str, Any]:
         "channels": [channel["name"] for channel in row.summary["channels"]],
         "warnings": row.summary["warnings"],
         "assets": assets,
-        "diagnoses": [(each.id, short(each.answer), spell_moment(each.created_at)) for each in diagnoses],
+        "diagnoses": [(each.id, short(each.answer), each.created_at) for each in diagnoses],
         "speed": f"{diagnoses[0].answer.drive_speed_rpm:.6g} rpm" if diagnoses else "",
         "others": list(others.items()),
     }

@@ -28,7 +28,7 @@ def show_standing(row: AssetRow, at: datetime) -> dict[str, Any]:
         if seen is None
         else {"by": seen.by or "somebody", "at": spell_moment(seen.at), "note": seen.note},
         "verdict": VERDICTS[found.verdict] if found.verdict else "",
-        "verdict_at": day(found.verdict_at),
+        "verdict_at": found.verdict_at,
         "diagnosis": found.diagnosis,
         "joints": joints_of(found),
         "limit_at": limit_words(found, at),
@@ -65,5 +65,5 @@ def age(passed: timedelta) -> str:
 
 
 def day(at: datetime | None) -> str:
-    """Return a day in UTC; empty for none."""
+    """Return a day in UTC, which is as exact as a forecast; empty for none."""
     return spell_moment(at)[:10] if at else ""

@@ -96,8 +96,10 @@ def speed_hint(found: Mapping[str, Any], offer: Offer, kind: str) -> str:
     """Return where the drive speed comes from, in a sentence."""
     nominal = offer.description.nominal_speed_rpm
     usual = f" The machine's own is {nominal:.4g} rpm." if nominal is not None else ""
+    if found["field"] == "mapping":
+        return f"It is looked for in the columns whose sensors are said above.{usual}"
     if found["speed_rpm"] is None:
-        return f"It was not found in the {kind}: write it here.{usual}"
+        return f"It was not found in the {kind}: write it here, unless this is one of another machine.{usual}"
     source = "By the pulses of the tacho" if found["tacho"] else f"Found in the {kind}"
     return (
         f"{source}: {found['speed_rpm']:.6g} ± {found['uncertainty_rpm']:.2g} rpm (standard uncertainty)."

@@ -160,7 +160,7 @@ def check_form(given: dict[str, str]) -> tuple[str, AssetIn]:
     baselines: list[str] = []
     for field, value in given.items():
         if field.startswith(LIMIT):
-            limits[field.removeprefix(LIMIT)] = number_of(value, "limits_um")
+            limits[field.removeprefix(LIMIT)] = number_of(value, "limits_um", f"limit of {field.removeprefix(LIMIT)}")
         elif field.startswith(BASELINE):
             baselines.append(field.removeprefix(BASELINE))
         elif field in DAYS:

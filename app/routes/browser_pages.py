@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from typing import Any, cast, get_args
+from urllib.parse import urlencode
 
 from fastapi import APIRouter, Request
 from starlette.concurrency import run_in_threadpool
@@ -13,16 +14,16 @@ from jointplay.app.figures.pictures import machine_picture
 from jointplay.app.http.handlers import is_fragment, note, problem_from, templates
 from jointplay.app.jobs.quality_cards import joint_cells, quality_line
 from jointplay.app.pages import browsing
-from jointplay.app.pages.page_forms import messages_of, plain_number
+from jointplay.app.pages.page_forms import messages_of, quantity_of
 from jointplay.app.routes.pages import KNOWN_ASSETS, REFUSALS, context
+from jointplay.app.routes.try_pages import WEAR
 from jointplay.app.rows import NAMES, length, micrometres, order
 from jointplay.app.service import Service, of_request
 from jointplay.app.shelves.catalogues import Offer
 from jointplay.app.storage.assets import Assets
 from jointplay.app.storage.told import Told
-from jointplay.solver.errors import UnitError
 from jointplay.solver.machines.drawing import machine_svg
-from jointplay.solver.machines.units import LENGTH, to_si
+from jointplay.solver.machines.units import LENGTH
 from jointplay.solver.spectra.spectrum import Quantity, Scaling, frame_units, value_units
 
 router = APIRouter(prefix="/catalogues")
@@ -145,6 +146,10 @@ async def show_nearest(service: Service, offer: Offer, chosen: dict[str, str]) -
         "name": what,
         "key": found["key"],
         "speed": f"{found['speed_rpm']:.5g} rpm",
+        "again": urlencode(
+            {"catalogue": offer.description.name, "speed": f"{found['speed_rpm']:.5g}"}
+            | {f"{WEAR}{joint}": f"{size:.4g}" for joint, size in sizes.items()}
+        ),
         "healthy_entries": found["healthy_entries"],
         "family": [length(each["clearance_um"]) for each in found["family"]],
         "baseline": chosen["asset"] if found["baseline"] else "",
@@ -162,10 +167,7 @@ def clearance_of(text: str) -> float:
     BadFieldError
         For a text that is no length greater than 0 and at most 100 mm.
     """
-    try:
-        value = float(to_si(f"{text} um" if plain_number(text) else text, LENGTH))
-    except UnitError as error:
-        raise BadFieldError(f"clearance: {text[:80]}: {error}", field="clearance") from None
+    value = quantity_of(text, "clearance", "clearance", LENGTH, "um")
     if not 0 < value <= LARGEST:
         raise BadFieldError(f"clearance: {text[:80]}: must be greater than 0 and at most 100 mm", field="clearance")
     return value

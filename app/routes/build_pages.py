@@ -11,6 +11,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import RedirectResponse, Response
 
 from jointplay.app.errors import BadFieldError, UnknownCatalogueError
+from jointplay.app.figures.machine_account import drive_of
 from jointplay.app.http import paging
 from jointplay.app.http.handlers import is_fragment, note, problem_from, templates
 from jointplay.app.jobs.build_orders import order, order_again
@@ -204,9 +205,12 @@ def outcome(service: Service, row: BuildRow) -> dict[str, Any]:
 
 
 def machine_titles(service: Service) -> dict[str, str]:
-    """Return what the machines are called, by the names under which the service has them."""
-    titles = {name: service.machines.find(name).name for name in service.machines.names()}
-    return {name: title if title == name else f"{title} ({name})" for name, title in titles.items()}
+    """Return what the machines are called and how they are driven, by the names under which the service has them."""
+    found = {name: service.machines.find(name) for name in service.machines.names()}
+    return {
+        name: f"{each.name}{'' if each.name == name else f' ({name})'}, drive {drive_of(each)}"
+        for name, each in found.items()
+    }
 
 
 def may_build(request: Request) -> bool:

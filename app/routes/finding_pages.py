@@ -12,18 +12,21 @@ from jointplay.app import words
 from jointplay.app.errors import BadFieldError
 from jointplay.app.http.handlers import problem_from
 from jointplay.app.http.validation import validate
-from jointplay.app.pages.page_forms import UPLOAD, number_of, plain_form
+from jointplay.app.pages.page_forms import UPLOAD, moment_of, plain_form, quantity_of
 from jointplay.app.routes.asset_pages import answer_page
 from jointplay.app.routes.pages import REFUSALS, refuse
 from jointplay.app.schemas.assets import FindingIn
 from jointplay.app.service import Service, of_request
 from jointplay.app.storage.assets import Assets, wearing_in
 from jointplay.app.storage.rows import now
+from jointplay.solver.machines.units import LENGTH
 
 router = APIRouter(prefix="/diagnoses/{key}/finding")
 
-CLEARANCE, REPAIRED = "clearance-", "repaired-"
+PLAY, REPAIRED = "play-", "repaired-"
 FIELDS = ("joints", "text", "at")
+LARGEST = 0.2
+"""Largest play that can be entered [m]: of the largest clearance that can."""
 
 
 @router.get("")
@@ -57,27 +60,45 @@ async def enter(request: Request, key: str) -> Response:
 
 
 def read_finding(given: dict[str, str]) -> FindingIn:
-    """Return what a form says was found, by the rules of the HTTP interface.
+    """Return what a form says was found, by the rules of the HTTP interface: of the play across a pin, half.
 
     Raises
     ------
     BadFieldError
-        For a clearance that is no number, or a joint that was repaired and has none.
+        For a play that is none, or a joint that was repaired and has none.
     RequestValidationError
         For a field that breaks a rule.
     """
     joints: dict[str, Any] = {}
     for field, value in given.items():
-        if field.startswith(CLEARANCE):
-            name = field.removeprefix(CLEARANCE)
-            repaired = f"{REPAIRED}{name}" in given
-            joints[name] = {"clearance_um": float(number_of(value, "joints")), "repaired": repaired}
+        if field.startswith(PLAY):
+            name = field.removeprefix(PLAY)
+            joints[name] = {"clearance_um": clearance_of(name, value), "repaired": f"{REPAIRED}{name}" in given}
     for field in given:
         name = field.removeprefix(REPAIRED)
         if field.startswith(REPAIRED) and name not in joints:
-            raise BadFieldError(f"joints: {name[:80]}: write the clearance that was found, too", field="joints")
-    said = {name: given[name] for name in ("text", "at") if name in given}
-    return validate(FindingIn, said | {"joints": joints})
+            raise BadFieldError(f"joint {name[:80]}: write the play that was found, too", field="joints")
+    at = moment_of(given.get("at", spell_now()))
+    return validate(FindingIn, {"text": given.get("text", ""), "joints": joints, "at": at})
+
+
+def clearance_of(joint: str, text: str) -> float:
+    """Return the radial clearance of a joint [µm] of the play that was typed, in µm unless it has a unit.
+
+    Raises
+    ------
+    BadFieldError
+    """
+    what = f"joint {joint[:80]}"
+    play = quantity_of(text, what, "joints", LENGTH, "um")
+    if not 0.0 <= play <= LARGEST:
+        raise BadFieldError(f"{what}: {text[:80]}: must be 0 to {1e3 * LARGEST:g} mm", field="joints")
+    return round(0.5e6 * play, 6)
+
+
+def spell_now() -> str:
+    """Return the moment that it is, as forms send it."""
+    return f"{now():%Y-%m-%dT%H:%M:%SZ}"
 
 
 def asked_after(service: Service, key: str, given: dict[str, str]) -> dict[str, Any]:
@@ -89,7 +110,7 @@ def asked_after(service: Service, key: str, given: dict[str, str]) -> dict[str, 
         When there is no diagnosis of this id.
     """
     row = service.store.diagnosis(key)
-    chosen = {"at": now().isoformat(timespec="seconds").replace("+00:00", "Z")} | given
+    chosen = {"at": spell_now()} | given
     return {
         "key": row.id,
         "asset": row.request.get("asset"),

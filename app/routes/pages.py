@@ -24,7 +24,16 @@ from jointplay.app.http.uploads import receive_form
 from jointplay.app.jobs.workers import TaskFailedError
 from jointplay.app.pages import understanding
 from jointplay.app.pages.build_view import build_view
-from jointplay.app.pages.page_forms import CONFIRM, SAID, UPLOAD, messages_of, plain_form, read_form
+from jointplay.app.pages.page_forms import (
+    CONFIRM,
+    NUMBERS,
+    SAID,
+    UPLOAD,
+    messages_of,
+    plain_form,
+    read_form,
+    with_point,
+)
 from jointplay.app.pages.understood import confirmation
 from jointplay.app.pages.views import view
 from jointplay.app.problems import Problem
@@ -60,6 +69,7 @@ async def upload(request: Request) -> Response:
     try:
         async with receive_form(request, service.store, frozenset(UPLOAD) - {"file"}) as form:
             given.update(form.fields)
+            given |= {name: with_point(given[name], name) for name in NUMBERS if name in given}
             if "catalogue" not in given:
                 raise BadFieldError("choose a catalogue", field="catalogue")
             if form.file is None:

@@ -11,7 +11,7 @@ from starlette.responses import RedirectResponse, Response
 from jointplay.app.errors import AppError, BadFieldError
 from jointplay.app.http.handlers import note, problem_from, templates
 from jointplay.app.http.validation import validate
-from jointplay.app.pages.page_forms import plain_form
+from jointplay.app.pages.page_forms import moment_of, plain_form
 from jointplay.app.pages.signal_view import signal_view
 from jointplay.app.problems import Problem
 from jointplay.app.routes.asset_pages import answer_page, may_match
@@ -63,7 +63,7 @@ async def correct(request: Request, key: str) -> Response:
         given = await plain_form(request)
         if MOMENT not in given:
             raise BadFieldError(f"{MOMENT}: say when it was measured", field=MOMENT)
-        wanted = validate(MeasurementChange, given)
+        wanted = validate(MeasurementChange, given | {MOMENT: moment_of(given[MOMENT])})
         await run_in_threadpool(of_request(request).store.correct_moment, key, wanted.measured_at)
     except REFUSALS as error:
         return await show(request, key, problem_from(error))

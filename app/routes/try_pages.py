@@ -12,7 +12,7 @@ from starlette.responses import RedirectResponse, Response
 from jointplay.app.errors import BadFieldError
 from jointplay.app.http.handlers import note, problem_from, templates
 from jointplay.app.http.validation import validate
-from jointplay.app.pages.page_forms import messages_of, plain_form
+from jointplay.app.pages.page_forms import messages_of, plain_form, quantity_of
 from jointplay.app.problems import Problem
 from jointplay.app.routes.pages import REFUSALS, context
 from jointplay.app.schemas.virtual import BuiltInRequest, VirtualRequest
@@ -20,8 +20,7 @@ from jointplay.app.service import of_request
 from jointplay.app.shelves.built_in import recordings_of
 from jointplay.app.shelves.catalogues import Offer
 from jointplay.app.storage.rows import MeasurementRow
-from jointplay.solver.errors import UnitError
-from jointplay.solver.machines.units import ACCELERATION, ANGULAR_SPEED, LENGTH, Dimension, to_si
+from jointplay.solver.machines.units import ACCELERATION, ANGULAR_SPEED, LENGTH, to_si
 
 router = APIRouter(prefix="/try")
 
@@ -84,36 +83,22 @@ def read_wanted(given: dict[str, str]) -> VirtualRequest:
     if not members["catalogue"]:
         raise BadFieldError("choose a catalogue", field="catalogue")
     members["clearances_um"] = {
-        name.removeprefix(WEAR): number(value, f"wear of {name.removeprefix(WEAR)}", "wear", LENGTH, "um") * 1e6
+        name.removeprefix(WEAR): quantity_of(value, f"wear of {name.removeprefix(WEAR)}", "wear", LENGTH, "um") * 1e6
         for name, value in given.items()
         if name.startswith(WEAR)
     }
     if "speed" in given:
-        members["drive_speed_rpm"] = number(given["speed"], "speed", "speed", ANGULAR_SPEED, "rpm") / to_si(
+        members["drive_speed_rpm"] = quantity_of(given["speed"], "speed", "speed", ANGULAR_SPEED, "rpm") / to_si(
             "1 rpm", ANGULAR_SPEED
         )
     if "noise" in given:
-        members["sensor_noise_m_s2"] = number(given["noise"], "noise", "noise", ACCELERATION, "m/s2")
+        members["sensor_noise_m_s2"] = quantity_of(given["noise"], "noise", "noise", ACCELERATION, "m/s2")
     for name in ("revolutions", "seed"):
         if name in given:
             if not given[name].isdecimal():
                 raise BadFieldError(f"{name}: {given[name][:80]}: must be a whole number", field=name)
             members[name] = int(given[name])
     return validate(VirtualRequest, members)
-
-
-def number(text: str, what: str, field: str, dimension: Dimension, unit: str) -> float:
-    """Return a number of the form as SI."""
-    try:
-        float(text)
-    except ValueError:
-        whole = text
-    else:
-        whole = f"{text} {unit}"
-    try:
-        return to_si(whole, dimension)
-    except UnitError as error:
-        raise BadFieldError(f"{what}: {text[:80]}: {error}", field=field) from None
 
 
 async def show(request: Request, given: dict[str, str], problem: Problem | None = None) -> Response:

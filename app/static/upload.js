@@ -77,8 +77,8 @@
       if (answer.status === 401) return window.jointplay.signIn("/", byId("ask"));
       const found = await answer.json();
       if (!answer.ok) return ["refused", found.detail];
-      const [first] = found.hypotheses;
-      const said = `${Object.keys(first.joints).join(" + ") || "none worn"}, ${Math.floor(100 * first.probability)} %`;
+      const { label, probability: sure } = found.hypotheses[0];
+      const said = `${label}, ${sure < 0.995 ? Math.round(100 * sure) : "> 99"} %`;
       return [found.verdict.replace("_", " "), make("a", { href: `/diagnoses/${found.id}` }, said)];
     } catch {
       return ["refused", "the service gave no answer"];

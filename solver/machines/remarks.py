@@ -15,6 +15,8 @@ from jointplay.solver.machines.restitution import remark
 #: A centre of gravity is far outside from so many lengths of its link on. A counterweight brings it out by about one; a
 #: number in mm, where metres are meant, by a thousand.
 FAR_OUTSIDE = 3.0
+#: A number without a unit that is so many rpm off a whole number of rpm was hardly meant in rad/s.
+OFF_WHOLE = 0.01
 
 
 def drawing_remarks(machine: MachineContent) -> Iterator[str]:
@@ -45,6 +47,26 @@ def drawing_remarks(machine: MachineContent) -> Iterator[str]:
         if not link.fixed and length and away > FAR_OUTSIDE * length:
             what = f"{away:.3g} m from its joints and supports, and {compared} is {length:.3g} m long; is it in mm?"
             yield f"links.{name}.cg: ({link.cg[0]:g}, {link.cg[1]:g}) m: {what}"
+
+
+def speed_remarks(tree: Mapping[str, object]) -> Iterator[str]:
+    """Yield a line where the file gives a turning drive a speed without a unit that may have been meant in rpm.
+
+    Parameters
+    ----------
+    tree : Mapping
+        The file as it was written: of its machine nobody sees any more how.
+    """
+    drive = tree.get("drive")
+    if not isinstance(drive, Mapping) or drive.get("kind") != "rotation":
+        return
+    speed = str(drive.get("speed"))
+    try:
+        rpm = float(speed) * 30 / math.pi
+    except ValueError:
+        return
+    if abs(rpm - round(rpm)) > OFF_WHOLE:
+        yield f"drive.speed: {speed} is in rad/s: {rpm:.5g} rpm; write {speed}rpm if that was meant"
 
 
 def _points_of(machine: MachineContent, link: str, joints: Collection[str] | None = None) -> Iterator[Point]:

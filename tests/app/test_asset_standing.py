@@ -200,12 +200,12 @@ def test_limits_are_set_on_the_page(service: httpx.Client) -> None:
     put(service, "life-3", limits_um={"A": 150}, silent_after_days=7)
     page = service.get("/assets/life-3").text
     assert re.search(r'name="limit-A"[^>]* placeholder="200" value="150"', page)
-    form = {"limit-A": "", "limit-B": "80.5", "silent_after_days": "14", "warn_within_days": "60", "notes": "x"}
+    form = {"limit-A": "", "limit-B": "80,5", "silent_after_days": "14", "warn_within_days": "60", "notes": "x"}
     assert service.post("/assets/life-3", data=form).status_code == 303
     stored = service.get(f"{API}/assets/life-3").json()
     assert (stored["limits_um"], stored["silent_after_days"], stored["warn_within_days"]) == ({"B": 80.5}, 14, 60)
     for change, said in (
-        ({"limit-B": "much"}, "limits_um: much: must be a number"),
+        ({"limit-B": "much"}, "limit of B: much: must be a number"),
         ({"limit-B": "nan"}, "limits_um.B: "),
         ({"silent_after_days": "0"}, "silent_after_days: "),
         ({"warn_within_days": "soon"}, "warn_within_days: soon: must be a number"),

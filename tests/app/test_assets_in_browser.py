@@ -11,6 +11,7 @@ import pytest
 from http_answers import API
 from playwright.sync_api import Browser, Page, expect
 from real_browser import SCREENS, SECONDS, Visit, has_drawn, is_within_screen, serious, visiting
+from test_wear_state import diagnose as answer_to
 
 
 @pytest.fixture(params=SCREENS, ids=["wide", "narrow"])
@@ -129,3 +130,28 @@ def test_an_alarm_is_found_acknowledged_and_repaired(visit: Visit, client: httpx
     expect(page.get_by_role("heading", name="Alarm")).to_have_count(0)
     expect(page.get_by_text("Seen by somebody")).to_have_count(0)
     assert is_within_screen(page) and serious(page) == []
+
+
+@pytest.mark.parametrize("screen", SCREENS, ids=["wide", "narrow"])
+def test_what_was_found_is_entered_by_the_clock_of_the_reader(
+    screen: tuple[int, int, str], browser: Browser, server: str, client: httpx.Client
+) -> None:
+    name = f"found-{screen[0]}"
+    client.put(f"{API}/assets/{name}", json={"machine": "slider-crank"}).raise_for_status()
+    key = answer_to(client, 2, name)["id"]
+    with visiting(browser, server, screen, timezone_id="Europe/Berlin") as visit:
+        page = visit.page
+        for place in ("measurements", "diagnoses", f"diagnoses/{key}/finding"):
+            page.goto(f"{server}/{place}")
+            expect(page.locator("[data-zone]").first).to_contain_text("Europe/Berlin")
+            assert is_within_screen(page) and serious(page) == []
+        page.get_by_label("When").fill("2026-07-21T10:30:05")
+        page.get_by_label("Joint B", exact=True).fill("much")
+        page.get_by_role("button", name="Keep it").click()
+        expect(page.locator("#error-joints")).to_contain_text("joint B: much: must be a length")
+        expect(page.get_by_label("When")).to_have_value("2026-07-21T10:30:05")
+        page.get_by_label("Joint B", exact=True).fill("0,25 mm")
+        page.get_by_role("button", name="Keep it").click()
+        expect(page.get_by_role("heading", name=name)).to_be_visible()
+    (found,) = client.get(f"{API}/findings", params={"diagnosis": key}).json()["items"]
+    assert (found["at"], found["joints"]["B"]["clearance_um"]) == ("2026-07-21T08:30:05Z", 125.0)

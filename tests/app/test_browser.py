@@ -247,7 +247,7 @@ def test_the_forms_can_be_used_by_keyboard(visit: Visit, recording: Path) -> Non
 def tabbed(page: Page) -> list[str]:
     """What the tabulator reaches, one after the other."""
     reached = []
-    for _ in range(18):
+    for _ in range(20):
         page.keyboard.press("Tab")
         reached.append(page.evaluate("document.activeElement.id || document.activeElement.tagName"))
         if reached[-1] == "submit":

@@ -39,6 +39,9 @@ def test_the_nearest_entry_is_shown_beside_healthy(client: httpx.Client, shelf: 
         f"B at {1e6 * matrix.clearance(np.array([best]))[0, column]:.0f} µm, against a machine in order"
         in response.text
     )
+    (virtual,) = re.findall(r'href="(/try\?[^"]+)"', response.text)
+    size = re.findall(r'name="wear-B"[^>]* value="([^"]+)"', client.get(html.unescape(virtual)).text)
+    assert float(size[0]) == pytest.approx(1e6 * matrix.clearance(np.array([best]))[0, column], rel=1e-3)
     shown = charts(response.text)
     assert len(shown) == 3
     healthy, *_family, entry = shown[1]["lines"]

@@ -55,6 +55,7 @@ def test_every_command_explains_itself(name: str) -> None:
     ("arguments", "text"),
     [
         (["nonsense"], "No such command 'nonsense'"),
+        (["diagnoze"], "No such command 'diagnoze'. Did you mean 'diagnose'?"),
         (["machines", "--nonsense"], "No such option '--nonsense'"),
         (["machines", "quick-retrun"], "did you mean"),
         (["check", "nowhere.yaml"], "is neither a file nor a shipped machine"),

@@ -11,6 +11,7 @@ import pytest
 from http_answers import API
 from test_wear_state import diagnose
 
+from jointplay.app.reports.content import FORM_COLUMNS
 from jointplay.app.schemas.assets import FindingIn
 
 
@@ -30,9 +31,10 @@ def test_what_was_found_and_repaired_is_entered(client: httpx.Client, answer: di
     assert f'href="{place}"' in client.get("/assets/found-1").text
     assert f'href="{place}"' in client.get(f"/diagnoses/{answer['id']}").text
     page = client.get(place).text
-    assert "What was found at found-1" in page and 'name="clearance-O"' in page
-    form = {"clearance-B": "152.5", "repaired-B": "yes", "clearance-A": "12", "text": "pin <new>"}
-    offered = re.findall(r'name="at"[^>]* value="([^"]+)"', page)[0]
+    assert "What was found at found-1" in page and 'name="play-O"' in page
+    assert FORM_COLUMNS[2].removesuffix(", µm") in page, "the sheet asks for the same"
+    form = {"play-B": "0,305 mm", "repaired-B": "yes", "play-A": "24 µm", "play-O": "18,5", "text": "pin <new>"}
+    offered = re.findall(r'name="at" type="datetime-local"[^>]* data-moment="([^"]+)"', page)[0]
     assert FindingIn.model_validate({"text": "x", "at": offered})
     for _ in range(2):  # sent twice
         kept = client.post(place, data={**form, "at": "2026-11-21T10:30:00+01:00"})
@@ -42,6 +44,7 @@ def test_what_was_found_and_repaired_is_entered(client: httpx.Client, answer: di
     assert found["joints"] == {
         "A": {"clearance_um": 12.0, "repaired": False},
         "B": {"clearance_um": 152.5, "repaired": True},
+        "O": {"clearance_um": 9.25, "repaired": False},
     }
     shown = client.get("/assets/found-1").text
     assert "A 12 µm" in shown and "B 152 µm, repaired" in shown and "pin &lt;new&gt;" in shown
@@ -50,11 +53,14 @@ def test_what_was_found_and_repaired_is_entered(client: httpx.Client, answer: di
 @pytest.mark.parametrize(
     ("form", "field", "said"),
     [
-        ({"clearance-B": "much"}, "joints", "joints: much: must be a number"),
-        ({"clearance-B": "-1"}, "joints", "joints.B.clearance_um: "),
-        ({"clearance-B": "nan"}, "joints", "joints.B.clearance_um: "),
-        ({"clearance-Z": "10"}, "joints", "joints: Z: is no joint of this machine that can wear (A, B, O)"),
-        ({"repaired-B": "yes"}, "joints", "joints: B: write the clearance that was found, too"),
+        ({"play-B": "much"}, "joints", "joint B: much: must be a length"),
+        ({"play-B": "-1"}, "joints", "joint B: -1: must be 0 to 200 mm"),
+        ({"play-B": "1e300"}, "joints", "joint B: 1e300: must be 0 to 200 mm"),
+        ({"play-B": "nan"}, "joints", "joint B: nan: must be a length"),
+        ({"play-B": "20 g"}, "joints", 'joint B: 20 g: "g" is a mass, must be a length'),
+        ({"play-B": "1,500"}, "joints", "joint B: 1,500: write 1500 or 1.500"),
+        ({"play-Z": "10"}, "joints", "joints: Z: is no joint of this machine that can wear (A, B, O)"),
+        ({"repaired-B": "yes"}, "joints", "joint B: write the play that was found, too"),
         ({"text": "loose", "at": "yesterday"}, "at", "at: "),
         ({"text": "a\u0001b"}, "text", "text: "),
         ({}, "", "give joints with their clearance, or a text"),
@@ -70,8 +76,17 @@ def test_refusals_are_told_beside_their_field(
     text = html.unescape(refused.text)
     place = text.index(f'id="error-{field}"' if field else "</h1>")
     assert said in text[place : place + 900]
-    assert f'value="{typed["at"]}"' in text, "what was typed stays"
+    assert f'data-moment="{typed["at"]}"' in text, "what was typed stays"
     assert findings(client, answer) == before
+
+
+@pytest.mark.parametrize(("typed", "kept"), [("2026-11-21T10:30", "10:30:00Z"), ("2026-11-21T10:31:05", "10:31:05Z")])
+def test_a_browser_without_scripts_says_when_in_utc(
+    client: httpx.Client, answer: dict[str, Any], typed: str, kept: str
+) -> None:
+    sent = client.post(f"/diagnoses/{answer['id']}/finding", data={"text": typed, "at": typed})
+    assert sent.status_code == 303
+    assert [each["at"] for each in findings(client, answer) if each["text"] == typed] == [f"2026-11-21T{kept}"]
 
 
 def test_of_no_diagnosis_nothing_is_found(client: httpx.Client) -> None:

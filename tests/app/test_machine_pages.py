@@ -149,6 +149,11 @@ def test_a_text_is_checked_without_being_stored(site: httpx.Client) -> None:
     assert "cannot be assembled" in open_one and " open<" in open_one and 'id="account"' not in open_one
     right = site.post("/machines/check", data={"text": MACHINE_YAML}, headers={"HX-Request": "true"}).text
     assert "A valid machine." in right and "svg" in right and "0 of 8 unknowns" in right
+    bare = shipped_machine_text("slider-crank").replace("speed: 62.831853072", "speed: 600")
+    doubted = html.unescape(site.post("/machines/check", data={"text": bare}).text)
+    assert "<dt>Drive</dt><dd>O at 5729.58 rpm</dd>" in doubted
+    assert "drive.speed: 600 is in rad/s: 5729.6 rpm; write 600rpm if that was meant" in doubted
+    assert "slider-crank, drive O at 600 rpm</option>" in site.get("/builds").text
     whole = site.post("/machines/check", data={"text": wrong, "name": "mine"}).text
     assert "<strong>Line 7:</strong>" in whole and text_of(whole) == wrong and 'value="mine"' in whole
     said = site.post(f"{API}/check", content=wrong, headers=YAML).json()

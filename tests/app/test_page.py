@@ -153,7 +153,7 @@ def test_an_estimate_that_was_not_touched_is_no_given_speed(client: httpx.Client
     key = ask(client, place).headers["location"].rpartition("/")[2]
     notes = {step["name"]: step["found"] for step in provenance(client, key)}
     assert "found in the recording" in notes["drive speed"]
-    key = ask(client, place, speed="606.5").headers["location"].rpartition("/")[2]
+    key = ask(client, place, speed="606,5").headers["location"].rpartition("/")[2]
     notes = {step["name"]: step["found"] for step in provenance(client, key)}
     assert "606.5 rpm, as given" in notes["drive speed"]
 

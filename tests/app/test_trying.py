@@ -92,7 +92,7 @@ def test_the_page_asks_for_one_and_shows_what_it_is(client: httpx.Client) -> Non
     page = client.get("/try", headers=HTML).text
     assert [html.unescape(name) for name in re.findall(r'name="wear-([^"]+)"', page)] == ["A", "B", "O"]
     assert "Recordings that ship" not in page, "they are of another machine"
-    sent = {"catalogue": "slider-crank", "wear-B": "0.15 mm", "speed": "600", "noise": "0.01", "revolutions": "20"}
+    sent = {"catalogue": "slider-crank", "wear-B": "0,15 mm", "speed": "600", "noise": "0,01", "revolutions": "20"}
     answer = client.post("/try", data=sent, headers=HTML)
     assert answer.status_code == 303
     shown = client.get(answer.headers["location"], headers=HTML).text

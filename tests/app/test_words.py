@@ -124,6 +124,7 @@ def test_rows_of_the_ranking() -> None:
     ("bound", "interval", "text"),
     [
         ("none", [900.0, 1500.0], "1.2 mm (0.9 to 1.5)"),
+        ("none", [0.901, 1860.0], "1200 µm (0.9 to 1860)"),
         ("at_least", [2000.0, 2000.0], "at least 2 mm"),
         ("at_least", [405.0, 2000.0], "at least 405 µm"),
         ("at_most", [3.0, 9.5], "at most 9.5 µm"),

@@ -10,7 +10,7 @@ from machine_trees import changed
 
 from jointplay.solver.cases.remarks import LEAST_WIDTH, MAIN_ORDERS, NO_PEAK, find_remarks
 from jointplay.solver.machines.machine import parse_machine, shipped_machine_names, shipped_machine_text
-from jointplay.solver.machines.remarks import FAR_OUTSIDE
+from jointplay.solver.machines.remarks import FAR_OUTSIDE, speed_remarks
 from jointplay.solver.machines.yamlfile import read_tree
 
 #: Of the slider-crank as it ships, and true of it: the second order of its frame's x has its peak at 10.5 Hz of the
@@ -40,6 +40,27 @@ def block(damping_ratio: float = 0.02, frequency: float = 50.0, **others: Any) -
 def test_shipped_machines_are_plausible(name: str) -> None:
     found = find_remarks(parse_machine(shipped_machine_text(name)))
     assert found == ([SHIPPED] if name == "slider-crank" else [])
+
+
+@pytest.mark.parametrize(
+    ("speed", "said"),
+    [
+        (600, "drive.speed: 600 is in rad/s: 5729.6 rpm; write 600rpm if that was meant"),
+        ("1500", "drive.speed: 1500 is in rad/s: 14324 rpm; write 1500rpm if that was meant"),
+        ("600 rpm", None),
+        (62.831853072, None),
+        ([[0, 0], [1, 60]], None),
+    ],
+)
+def test_a_speed_without_a_unit_is_said_in_rpm(speed: object, said: str | None) -> None:
+    found = list(speed_remarks({"drive": {"kind": "rotation", "joint": "O", "speed": speed}}))
+    assert found == ([said] if said else [])
+    assert list(speed_remarks({"drive": {"kind": "translation", "joint": "G", "speed": speed}})) == []
+
+
+@pytest.mark.parametrize("name", shipped_machine_names())
+def test_shipped_machines_turn_at_whole_speeds(name: str) -> None:
+    assert list(speed_remarks(read_tree(shipped_machine_text(name), name))) == []
 
 
 def test_a_pin_larger_than_its_link() -> None:
