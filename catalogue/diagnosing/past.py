@@ -1,9 +1,9 @@
 """A machine beside its own past: what a recording differs by from recordings of the same machine in order.
 
 Two recordings of one machine by the same sensors share its mounts, its play and the gains of the sensors, so their
-levels differ by less than those of two machines do. How levels go with the speed, and how much play and contacts let
-them scatter from machine to machine, is the catalogue's; of that scatter two days of one machine have a share, another
-for every level, which recordings of the machine itself tell.
+levels differ by less than those of two machines do. How levels go with the speed, and how much they scatter from
+machine to machine, is the catalogue's; of that scatter two days of one machine have a share, another for every level,
+which recordings of the machine itself tell.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.arrays import AnyComplexArray, BoolArray, FloatArray, IntArray
 from jointplay.solver.spectra.bands import FEATURE_ORDERS
 
-#: What two recordings of a machine in order differ by at one speed, as a part of what machines of the same frame and
-#: mounts scatter by: contacts settle to another motion with every little load,
+#: What two recordings of a machine in order differ by at one speed, as a part of what machines scatter by: contacts
+#: settle to another motion with every little load,
 SHARE = 0.3
 #: and what is added for a difference in speed, for a unit of its logarithm.
 SHARE_BY_SPEED = 8.0
@@ -101,9 +101,7 @@ def compare_with_past(
     levels = [OrderLevels.of(each, count) for each in (prepared, *before)]
     noise = np.max([each.noise for each in levels], axis=0)
     known = [
-        # Frame and mounts are the same on every day: what they scatter by says nothing of days.
-        class_statistics(catalogue, each.with_noise(noise), HEALTHY, _with_play(catalogue, each), as_filed=True)
-        for each in levels
+        class_statistics(catalogue, each.with_noise(noise), HEALTHY, _with_play(catalogue, each)) for each in levels
     ]
     now, *then = [each for each in known if each is not None]
     if len(then) < len(before):
