@@ -1,8 +1,9 @@
 """A machine beside its own past: what a recording differs by from recordings of the same machine in order.
 
 Two recordings of one machine by the same sensors share its mounts, its play and the gains of the sensors, so their
-levels differ by much less than those of two machines do. How levels go with the speed, and how much they scatter from
-machine to machine, is the catalogue's; of that scatter two recordings of one machine have a small share.
+levels differ by less than those of two machines do. How levels go with the speed, and how much they scatter from
+machine to machine, is the catalogue's; of that scatter two days of one machine have a share, another for every level,
+which recordings of the machine itself tell.
 """
 
 from __future__ import annotations
@@ -29,16 +30,15 @@ from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.arrays import AnyComplexArray, BoolArray, FloatArray, IntArray
 from jointplay.solver.spectra.bands import FEATURE_ORDERS
 
-#: What two recordings of a machine in order differ by at one speed, as a part of what machines scatter by,
-SHARE = 0.05
+#: What two recordings of a machine in order differ by at one speed, as a part of what machines scatter by: contacts
+#: settle to another motion with every little load,
+SHARE = 0.3
 #: and what is added for a difference in speed, for a unit of its logarithm.
 SHARE_BY_SPEED = 8.0
-#: Machines are not all as steady as each other: standard deviation of the logarithm of that share.
-SHARE_SCATTER = 0.25
 #: What a level of a recording repeats to, dB, however steady the machine.
 REPEATS_DB = 0.02
-#: Recordings that the share stands for, where several of the machine say what it is.
-BELIEVED = 4.0
+#: Differences that the share of a level stands for, beside those that recordings of the machine itself show.
+BELIEVED = 2.0
 #: A level counts where the machine has this many times the power of the noise, before or now.
 LEAST_SIGNAL = 4.0
 #: What an order says nothing by in which hum was taken out, dB.
@@ -51,8 +51,6 @@ DRAWS = 2000
 TOLD_FROM, MOST_TOLD = 3.0, 5
 #: Entries whose speed is nearest to the recording's.
 NEAREST = 60
-#: Median of the square of a normal number.
-MEDIAN_SQUARE = 0.455
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,16 +137,19 @@ def _power(catalogue: Catalogue, levels: OrderLevels) -> AnyComplexArray:
     return np.asarray(power.mean(axis=0, dtype=np.complex128))
 
 
-def _steadiness(then: Sequence[LevelStatistics]) -> float:
-    """How many times the usual share this machine's recordings differ by, as several of them say."""
-    found = []
-    for place, one in enumerate(then if len(then) > 1 else ()):
-        others = [*then[:place], *then[place + 1 :]]
-        distance = _Distance.of(one, others, 1.0)
-        used = distance.usable()
-        if used.any():
-            found.append(float(np.median(np.square(distance.away / distance.spread)[used])) / MEDIAN_SQUARE)
-    return math.sqrt((BELIEVED + sum(found)) / (BELIEVED + len(found)))
+def _steadiness(then: Sequence[LevelStatistics]) -> FloatArray | float:
+    """How many times (m,) the usual share levels of this machine differ by, as far as several recordings say.
+
+    Each beside the others: n recordings have n - 1 differences that do not depend on each other.
+    """
+    if len(then) == 1:
+        return 1.0
+    squares = []
+    for place, one in enumerate(then):
+        distance = _Distance.of(one, [*then[:place], *then[place + 1 :]], 1.0)
+        squares.append(np.square(distance.away / distance.spread))
+    own = len(then) - 1
+    return np.asarray(np.sqrt((BELIEVED + own * np.mean(squares, axis=0)) / (BELIEVED + own)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,15 +166,15 @@ class _Distance:
     errors: FloatArray
 
     @classmethod
-    def of(cls, now: LevelStatistics, then: Sequence[LevelStatistics], steadiness: float) -> _Distance:
+    def of(cls, now: LevelStatistics, then: Sequence[LevelStatistics], steadiness: FloatArray | float) -> _Distance:
         """Carry recordings to the speed of another one, and weigh them by how well each tells its levels."""
         scatter = np.maximum(now.deviations.var(axis=0), 1e-12)
-        own = 0.5 * (steadiness * SHARE) ** 2
+        own = np.full(len(scatter), 0.5 * (steadiness * SHARE) ** 2)
         carried, parts, errors = [], [], []
         for each in then:
             apart = math.log(now.levels.prepared.drive_speed / each.levels.prepared.drive_speed)
             carried.append(each.levels.measured + now.mean - each.mean)
-            parts.append(np.full(len(scatter), min(1.0, own + (steadiness * SHARE_BY_SPEED * apart) ** 2)))
+            parts.append(own + np.minimum(1.0, (steadiness * SHARE_BY_SPEED * apart) ** 2))
             errors.append(_errors(each))
         weights = 1.0 / (np.array(parts) * scatter + np.array(errors))
         weights /= weights.sum(axis=0)
@@ -220,9 +221,10 @@ class _Distance:
         spread, errors = self.spread[used], np.sqrt(self.errors[used])
         machines = self.part[used] * self.now.deviations[:, used]
         drawn = []
+        known = BELIEVED + len(self.then) - 1  # degrees of freedom of each level's share
         for _ in range(math.ceil(DRAWS / len(machines))):
-            steady = np.exp(SHARE_SCATTER * generator.normal(size=(len(machines), 1)))
-            drawn.append(_distance((steady * machines + errors * generator.normal(size=machines.shape)) / spread))
+            share = np.sqrt(known / generator.chisquare(known, machines.shape))
+            drawn.append(_distance((share * machines + errors * generator.normal(size=machines.shape)) / spread))
         return share_beyond(float(_distance(self.away[used] / spread)), np.concatenate(drawn))
 
     def farthest(self, used: BoolArray) -> list[LevelSince]:

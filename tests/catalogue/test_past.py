@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 from in_order import off_by, recordings
 
+from jointplay.catalogue.diagnosing.baseline_levels import OrderLevels
 from jointplay.catalogue.diagnosing.causes import NamedCause, name_causes, name_changes
 from jointplay.catalogue.diagnosing.past import PastComparison, compare_with_past
 from jointplay.catalogue.diagnosing.verdict import OTHERWISE_BELOW
+from jointplay.catalogue.plans.parameters import LOAD, MachineNumbers
+from jointplay.catalogue.plans.variants import Variant, output_load
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.cases.case import Case
@@ -19,6 +22,8 @@ from jointplay.solver.cases.case import Case
 OFF = (1.04, 0.96, 0.93, 1.05, 1.1)
 #: Numbers that change: the stiffness of a mount, and a mass on the crank, which moves its centre of gravity.
 SOFTER = {"supports.1.stiffness.0": 0.85, "supports.1.stiffness.1": 0.85}
+#: What the process asks of a machine in order on six days, as factors on its speed and N on its slider.
+DAYS = ((1.0, 4.0), (1.012, -5.0), (0.99, 1.0), (1.006, -2.0), (0.994, 6.0), (1.003, -7.0))
 
 
 def changed(catalogue: Catalogue, speed: float, factors: dict[str, float]) -> Case:
@@ -29,10 +34,25 @@ def changed(catalogue: Catalogue, speed: float, factors: dict[str, float]) -> Ca
 
 @pytest.fixture(scope="module")
 def visits(small_catalogue: Catalogue) -> dict[str, PreparedMeasurement]:
-    """One machine, three times in order at other speeds, and with a softer mount."""
+    """One machine, three times in order at other speeds, and with a softer mount, little and much."""
     cases = [changed(small_catalogue, speed, {}) for speed in (1.0, 1.012, 0.99)]
-    made = recordings(small_catalogue, [*cases, changed(small_catalogue, 1.006, SOFTER)])
-    return dict(zip(("first", "second", "third", "softer"), made, strict=True))
+    softest = {path: factor**3 for path, factor in SOFTER.items()}
+    made = recordings(small_catalogue, [*cases, *(changed(small_catalogue, 1.006, each) for each in (SOFTER, softest))])
+    return dict(zip(("first", "second", "third", "softer", "softest"), made, strict=True))
+
+
+@pytest.fixture(scope="module")
+def days(small_catalogue: Catalogue) -> list[PreparedMeasurement]:
+    """One machine in order under another small load each day: its contacts settle to other motions."""
+    output = output_load(small_catalogue.machine)
+    assert output is not None
+    machine = Variant(load=output.link).machine(small_catalogue.machine)
+    (force,) = MachineNumbers(machine).targets(LOAD)
+    cases = []
+    for speed, load in DAYS:
+        case = off_by(small_catalogue, OFF, speed)
+        cases.append(dataclasses.replace(case, parameters={**case.parameters, force.path: force.share * load}))
+    return recordings(small_catalogue, cases, machine=machine)
 
 
 def beside(catalogue: Catalogue, now: PreparedMeasurement, *before: PreparedMeasurement) -> PastComparison:
@@ -48,6 +68,28 @@ def test_a_machine_as_it_was(small_catalogue: Catalogue, visits: dict[str, Prepa
         assert name_changes(found.expected, small_catalogue) == ()
 
 
+@pytest.mark.parametrize("known", [1, 3])
+def test_another_load_of_the_day_is_no_change(
+    small_catalogue: Catalogue, days: list[PreparedMeasurement], known: int
+) -> None:
+    for now in days[known:]:
+        found = beside(small_catalogue, now, *days[:known])
+        assert found.p_value > 0.05
+        assert name_changes(found.expected, small_catalogue) == ()
+
+
+def test_levels_that_differ_from_day_to_day_are_known_to_do_so(
+    small_catalogue: Catalogue, days: list[PreparedMeasurement], visits: dict[str, PreparedMeasurement]
+) -> None:
+    """What is usual of each level is learned from the machine's own recordings, and of that level alone."""
+    steady = [visits[name] for name in ("first", "second", "third")]
+    beside_days, beside_steady = (beside(small_catalogue, past[0], *past[1:3]).expected for past in (days, steady))
+    wider = beside_days.deviations.std(axis=0) / beside_steady.deviations.std(axis=0)
+    second, third = (OrderLevels.of(each).measured for each in days[1:3])
+    assert wider[np.argmax(np.abs(second - third))] > 1.5
+    assert np.median(wider) < 1.1
+
+
 def test_a_mount_that_is_little_softer_is_named(
     small_catalogue: Catalogue, visits: dict[str, PreparedMeasurement]
 ) -> None:
@@ -56,7 +98,10 @@ def test_a_mount_that_is_little_softer_is_named(
     first = name_changes(found.expected, small_catalogue)[0]
     assert isinstance(first, NamedCause)
     assert first.name == "mount 1" and first.size == pytest.approx(0.85, abs=0.05) and first.probability > 0.9
-    assert found.p_value < OTHERWISE_BELOW
+    steady = [visits[name] for name in ("first", "second", "third")]
+    assert found.p_value < 0.1
+    assert beside(small_catalogue, visits["softer"], *steady).p_value < 0.05
+    assert beside(small_catalogue, visits["softest"], *steady).p_value < OTHERWISE_BELOW
     told = found.changed[0]
     assert abs(told.difference_db) > 3.0 * told.usual_db and told.low_order < 5.0
     assert not any(cause.name == "mount 1" for cause in name_causes(visits["softer"], small_catalogue, small=True))
