@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from functools import partial
@@ -133,8 +134,7 @@ def create_app(settings: ServiceSettings | None = None, *, warm: bool = False) -
         ]
         if warm:
             behind.append(asyncio.create_task(service.warm()))
-            # By it queries are judged: made by the first of them, that would wait for it.
-            behind.append(asyncio.create_task(asyncio.to_thread(application.openapi)))
+            behind.append(asyncio.create_task(asyncio.to_thread(settle, application)))
         try:
             yield
         finally:
@@ -221,3 +221,9 @@ def create_app(settings: ServiceSettings | None = None, *, warm: bool = False) -
     application.add_middleware(Proxies, trusted=chosen.trusted_proxies)
     application.openapi = openapi.make_document(application, keyed=chosen.keys == "required")  # type: ignore[method-assign]
     return application
+
+
+def settle(application: FastAPI) -> None:
+    """Make what the first query would wait for, and let no collection of garbage look through what stays for ever."""
+    application.openapi()  # by it queries are judged
+    gc.freeze()
