@@ -131,6 +131,7 @@ def create_app(settings: ServiceSettings | None = None, *, warm: bool = False) -
             asyncio.create_task(StandingKeeper(store, pool).run()),
             asyncio.create_task(Scrubber(store, metrics).run()),
             asyncio.create_task(keep_storing_uses(kept_keys)),
+            asyncio.create_task(store.claims.keep()),
         ]
         if warm:
             behind.append(asyncio.create_task(service.warm()))

@@ -4,13 +4,29 @@ from __future__ import annotations
 
 import os
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from functools import cache
 from typing import Any, TypeVar
 
-from sqlalchemy import Connection, DateTime, Dialect, MetaData, TypeDecorator, event, inspect, select, text
+from sqlalchemy import (
+    ColumnElement,
+    Connection,
+    DateTime,
+    Dialect,
+    Double,
+    MetaData,
+    TypeDecorator,
+    cast,
+    event,
+    func,
+    inspect,
+    literal,
+    select,
+    text,
+)
 from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.engine import URL
 from sqlalchemy.exc import OperationalError
@@ -22,7 +38,7 @@ from jointplay.catalogue.errors import CatalogueFileError
 from jointplay.catalogue.storage import database
 from jointplay.catalogue.storage.database import Database
 
-REVISION = "5"
+REVISION = "6"
 """The newest revision in :mod:`jointplay.app.migrations`."""
 
 VERSION_TABLE = "service_revision"
@@ -227,6 +243,12 @@ class ServiceDatabase(Database):
             if held:
                 self._writer.release()
         self.check_file()
+
+    def epoch(self) -> ColumnElement[float]:
+        """Return the seconds since 1970, by one clock for all servers: the database's; SQLite has the computer's."""
+        if self.is_sqlite:
+            return literal(time.time(), Double)
+        return cast(func.extract("epoch", func.clock_timestamp()), Double)
 
     def find(self, table: type[Row], key: str) -> Row | None:
         """Return the row of a table whose ``id`` is `key`; None where there is none.

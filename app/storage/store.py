@@ -21,6 +21,7 @@ from jointplay.app.errors import AppError, BusyError, UnknownDiagnosisError, Unk
 from jointplay.app.storage import audit
 from jointplay.app.storage.assets import touch_owners
 from jointplay.app.storage.database import ServiceDatabase, database_url
+from jointplay.app.storage.idempotency import Claims
 from jointplay.app.storage.retention import Quotas
 from jointplay.app.storage.rows import (
     Base,
@@ -112,6 +113,8 @@ class Store:
     ----------
     database : ServiceDatabase
         Other modules keep their tables in it, too.
+    claims : Claims
+        Of keys of idempotency.
     files : StoredFiles
         What lies in the folder, and may be deleted.
 
@@ -130,6 +133,7 @@ class Store:
         self.database = ServiceDatabase(database_url(url) if url else file, Base.metadata)
         self.files = StoredFiles(directory, self.database)
         self.files.settle()
+        self.claims = Claims(self.database)  # before what ends a transaction: that waits for nothing any more
         audit.attend(self.database)
         self._session = self.database.session
 
