@@ -225,6 +225,10 @@ def create_app(settings: ServiceSettings | None = None, *, warm: bool = False) -
 
 
 def settle(application: FastAPI) -> None:
-    """Make what the first query would wait for, and let no collection of garbage look through what stays for ever."""
+    """Make what the first query would wait for, and let no collection of garbage look through what stays for ever.
+
+    Objects of requests are mostly gone without one: it is begun when there are more of them than requests have.
+    """
     application.openapi()  # by it queries are judged
     gc.freeze()
+    gc.set_threshold(20_000)
