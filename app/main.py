@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from functools import partial
@@ -131,11 +132,11 @@ def create_app(settings: ServiceSettings | None = None, *, warm: bool = False) -
             asyncio.create_task(StandingKeeper(store, pool).run()),
             asyncio.create_task(Scrubber(store, metrics).run()),
             asyncio.create_task(keep_storing_uses(kept_keys)),
+            asyncio.create_task(store.claims.keep()),
         ]
         if warm:
             behind.append(asyncio.create_task(service.warm()))
-            # By it queries are judged: made by the first of them, that would wait for it.
-            behind.append(asyncio.create_task(asyncio.to_thread(application.openapi)))
+            behind.append(asyncio.create_task(asyncio.to_thread(settle, application)))
         try:
             yield
         finally:
@@ -223,3 +224,13 @@ def create_app(settings: ServiceSettings | None = None, *, warm: bool = False) -
     application.add_middleware(Proxies, trusted=chosen.trusted_proxies)
     application.openapi = openapi.make_document(application, keyed=chosen.keys == "required")  # type: ignore[method-assign]
     return application
+
+
+def settle(application: FastAPI) -> None:
+    """Make what the first query would wait for, and let no collection of garbage look through what stays for ever.
+
+    Objects of requests are mostly gone without one: it is begun when there are more of them than requests have.
+    """
+    application.openapi()  # by it queries are judged
+    gc.freeze()
+    gc.set_threshold(20_000)

@@ -220,7 +220,7 @@ class Service:
         request = request.model_copy(update={"measurement": measurement_key(upload.sha256, name, told)})
         asked = await run_in_threadpool(self.about, request)
         recording = (str(upload.path), name, told)
-        if await run_in_threadpool(self.may_remember, asked, request):
+        if asked.asset is not None and await run_in_threadpool(self.may_remember, asked, request):
             read = await self.pool.run(tasks.summarise, *recording)
             asked, request = await run_in_threadpool(self.with_remembered, asked, request, columns_of(read))
         summary, outcome = await self.pool.run(tasks.summarise_and_diagnose, *recording, asked.question)

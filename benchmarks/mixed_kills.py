@@ -51,8 +51,8 @@ PLAN = {
 KINDS = ("server", "worker", "builder", "database", "dask scheduler", "dask worker")
 BROKEN = {409, 425, 429, 500, 502, 503, 504}
 """Statuses after which the same request is sent again: 409 while the first one holds its Idempotency-Key."""
-PATIENCE_S = 1800.0
-"""For one write: several times the five minutes for which a key is held whose server was killed, and killed again."""
+PATIENCE_S = 600.0
+"""For one write, whose servers may be killed again and again."""
 
 
 class Postgres:

@@ -32,4 +32,4 @@ async def delete(request: Request, key: str | None, act: Callable[[Removal], Non
         await run_in_threadpool(act, Removal(store))
         return Response(status_code=204)
 
-    return await once(request, key, store.database, why, answered)
+    return await once(request, key, store.claims, why, answered)

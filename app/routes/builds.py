@@ -77,7 +77,7 @@ async def ask(request: Request, idempotency_key: IdempotencyKey = None) -> Respo
         return Response(build_out(row).model_dump_json(), 202, headers, JSON_TYPE)
 
     content = wanted.model_dump(mode="json")
-    return await once(request, idempotency_key, service.store.database, content, answered)
+    return await once(request, idempotency_key, service.store.claims, content, answered)
 
 
 @router.get("", responses=problems(400, 422))

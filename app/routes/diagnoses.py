@@ -156,7 +156,7 @@ async def answer(
     content: Any = wanted.model_dump(mode="json")
     if measured_at is not None:  # which is no part of the measurement's id
         content = [content, measured_at.isoformat()]
-    return await once(request, key, of_request(request).store.database, content, answered)
+    return await once(request, key, of_request(request).store.claims, content, answered)
 
 
 @router.get("", responses=problems(400, 422))

@@ -50,7 +50,7 @@ async def report_back(request: Request, key: str, found: FindingIn, idempotency_
         headers = {"Location": f"/api/v1/findings/{row.id}"}
         return Response(finding_out(row).model_dump_json(), 201, headers, JSON_TYPE)
 
-    return await once(request, idempotency_key, store.database, found.model_dump(mode="json"), answered)
+    return await once(request, idempotency_key, store.claims, found.model_dump(mode="json"), answered)
 
 
 @router.get("/findings", responses=problems(400, 422))

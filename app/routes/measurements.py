@@ -55,7 +55,7 @@ async def upload(request: Request, idempotency_key: IdempotencyKey = None) -> Re
             row = await service.add_measurement(sent.file, sent.name, sent.told, sent.asset)
             return created(row)
 
-        return await once(request, idempotency_key, service.store.database, sent.content, answered)
+        return await once(request, idempotency_key, service.store.claims, sent.content, answered)
 
 
 @router.post(

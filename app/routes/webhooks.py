@@ -40,7 +40,7 @@ async def add(request: Request, wanted: WebhookIn, idempotency_key: IdempotencyK
         headers = {"Location": place_of(row.id)}
         return Response(made.model_dump_json(), 201, headers, JSON_TYPE)
 
-    return await once(request, idempotency_key, database, [wanted.url, events], answered)
+    return await once(request, idempotency_key, service.store.claims, [wanted.url, events], answered)
 
 
 @router.get("", responses=problems(400, 422))

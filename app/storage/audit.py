@@ -74,6 +74,10 @@ class AuditEndRow(Base):
 
 ROWS, END = Base.metadata.tables["audit"], Base.metadata.tables["audit_end"]
 
+# Put together once: that takes longer than to run them.
+_READ_END = select(END.c.number, END.c.hash).with_for_update()
+_ADD_ROWS, _MOVE_END = insert(ROWS), update(END)
+
 
 def attend(database: ServiceDatabase) -> None:
     """Let transactions of a database end with the notes that were made in them."""
@@ -137,6 +141,8 @@ def differences(
 
 def short(value: Any) -> Any:
     """Return a JSON value as it is kept: without secrets; of a long one its checksum."""
+    if value is None or isinstance(value, bool | int | float):
+        return value
     text = canonical(value)
     return {"sha256": checksum(value)} if len(text) > LONGEST else clean(json.loads(text))
 
@@ -163,19 +169,18 @@ def write(session: Session) -> None:
         }
         previous = checksum(content)
         rows.append({**content, "hash": previous})
-    session.execute(insert(ROWS), rows)
-    session.execute(update(END).values(number=number, hash=previous))
+    session.execute(_ADD_ROWS, rows)
+    session.execute(_MOVE_END, {"number": number, "hash": previous})
 
 
 def end_of(session: Session) -> tuple[int, str]:
     """Return number and checksum of the chain's last row, which nobody else writes after until the transaction ends."""
     database: ServiceDatabase = session.info[_ATTENDED]
-    query = select(AuditEndRow.number, AuditEndRow.hash).with_for_update()
-    found = session.execute(query).first()
+    found = session.execute(_READ_END).first()
     if found is None:
         first = {"id": 1, "number": 0, "hash": FIRST}
         session.execute(database.insert(AuditEndRow).values(first).on_conflict_do_nothing(index_elements=["id"]))
-        found = session.execute(query).one()
+        found = session.execute(_READ_END).one()
     return found.number, found.hash
 
 

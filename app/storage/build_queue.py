@@ -7,7 +7,6 @@ server takes the build up again; what was stored in the catalogue until then sta
 from __future__ import annotations
 
 import secrets
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
@@ -301,10 +300,7 @@ class BuildQueue:
         )
 
     def _clock(self, session: Session) -> float:
-        """One clock for all servers: the database's; a file of SQLite has the computer's."""
-        if self._database.is_sqlite:
-            return time.time()
-        return float(session.scalar(select(func.extract("epoch", func.clock_timestamp()))) or 0.0)
+        return float(session.scalar(select(self._database.epoch())) or 0.0)
 
 
 def about_build(row: BuildRow) -> dict[str, Any]:

@@ -30,6 +30,26 @@ class Document(dict[str, Any]):
         return dict, (dict(self),)
 
 
+class Written(Document):
+    """A JSON object on its way to the database, with its text: a long answer is made text once."""
+
+    __slots__ = ("text",)
+    text: str
+
+    @classmethod
+    def of(cls, value: Mapping[str, Any]) -> Written:
+        """Return an object that is changed no more."""
+        written = cls(value)
+        written.text = json.dumps(value)
+        written.sha256 = hashlib.sha256(written.text.encode()).hexdigest()
+        return written
+
+
+def write_document(value: Any) -> str:
+    """Return JSON values as the text that the database holds."""
+    return value.text if isinstance(value, Written) else json.dumps(value)
+
+
 def read_document(text: str | bytes) -> Any:
     """Return the values of a JSON text; of an object with the checksum of the text, which costs next to nothing."""
     value = json.loads(text)

@@ -4,24 +4,41 @@ from __future__ import annotations
 
 import os
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from functools import cache
 from typing import Any, TypeVar
 
-from sqlalchemy import Connection, DateTime, Dialect, MetaData, TypeDecorator, event, inspect, select, text
+from sqlalchemy import (
+    ColumnElement,
+    Connection,
+    DateTime,
+    Dialect,
+    Double,
+    MetaData,
+    TypeDecorator,
+    cast,
+    event,
+    func,
+    inspect,
+    literal,
+    select,
+    text,
+)
 from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.engine import URL
 from sqlalchemy.exc import OperationalError
 from sqlalchemy.orm import DeclarativeBase, Session, sessionmaker
 
 from jointplay.app.errors import AppError, BadFieldError, DamagedDatabaseError, NotReadyError
-from jointplay.app.storage.checksums import read_document
+from jointplay.app.storage.checksums import read_document, write_document
 from jointplay.catalogue.errors import CatalogueFileError
 from jointplay.catalogue.storage import database
 from jointplay.catalogue.storage.database import Database
 
-REVISION = "5"
+REVISION = "6"
 """The newest revision in :mod:`jointplay.app.migrations`."""
 
 VERSION_TABLE = "service_revision"
@@ -120,7 +137,8 @@ class ServiceDatabase(Database):
         waits = {"connect_timeout": round(WAIT_S), "tcp_user_timeout": round(WAIT_S * 1000)}
         try:
             # An answer that says "stored" outlives a loss of power.
-            super().__init__(url, wait=WAIT_S, durable=True, connect=waits, pool_wait=POOL_S, loads=load_json)
+            json_texts = (load_json, write_document)
+            super().__init__(url, wait=WAIT_S, durable=True, connect=waits, pool_wait=POOL_S, json_texts=json_texts)
         except CatalogueFileError as error:
             raise refusal(error) from None
         self.session = sessionmaker(self.engine, expire_on_commit=False)
@@ -226,6 +244,12 @@ class ServiceDatabase(Database):
                 self._writer.release()
         self.check_file()
 
+    def epoch(self) -> ColumnElement[float]:
+        """Return the seconds since 1970, by one clock for all servers: the database's; SQLite has the computer's."""
+        if self.is_sqlite:
+            return literal(time.time(), Double)
+        return cast(func.extract("epoch", func.clock_timestamp()), Double)
+
     def find(self, table: type[Row], key: str) -> Row | None:
         """Return the row of a table whose ``id`` is `key`; None where there is none.
 
@@ -239,6 +263,10 @@ class ServiceDatabase(Database):
     def insert(self, table: Any) -> Any:
         """Return an INSERT of this kind of database, which has ``on_conflict_do_nothing``."""
         return sqlite.insert(table) if self.is_sqlite else postgresql.insert(table)
+
+    def insert_new(self, table: type[DeclarativeBase]) -> Any:
+        """Return the INSERT of a row, given as parameters, that gives its number unless there is one of the same id."""
+        return _insert_new(table, self.is_sqlite)
 
     def _update(self, metadata: MetaData) -> None:
         with self.engine.connect() as connection:
@@ -268,6 +296,12 @@ class ServiceDatabase(Database):
         except CommandError:
             rule = f"has revision {revision}, made by another version of the program; use that"
             raise AppError(f"{self.name}: {rule}") from None
+
+
+@cache  # to put a statement together takes longer than to run it
+def _insert_new(table: type[DeclarativeBase], is_sqlite: bool) -> Any:
+    made = (sqlite if is_sqlite else postgresql).insert(table.__table__)
+    return made.on_conflict_do_nothing(index_elements=["id"]).returning(table.__table__.c.number)
 
 
 def revision_of(connection: Connection) -> str | None:

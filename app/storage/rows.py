@@ -14,7 +14,7 @@ from sqlalchemy.orm import DeclarativeBase, Mapped, Session, mapped_column
 
 from jointplay.app.actor import actor
 from jointplay.app.errors import DamagedDatabaseError, DamagedRowError
-from jointplay.app.storage.checksums import row_checksum
+from jointplay.app.storage.checksums import Written, row_checksum
 from jointplay.app.storage.database import ServiceDatabase, UtcDateTime, is_id
 from jointplay.app.storage.told import Told
 from jointplay.catalogue.diagnosing.answer import Diagnosis
@@ -46,7 +46,9 @@ class Sealed:
     @classmethod
     def seal(cls, values: Mapping[str, Any]) -> dict[str, Any]:
         """Return the values of a row that is made, with who makes it and the checksum of all."""
-        made = {"made_by": actor().name[:MADE_BY], **values}
+        made: dict[str, Any] = {"made_by": actor().name[:MADE_BY]}
+        for name, value in values.items():
+            made[name] = Written.of(value) if isinstance(value, Mapping) else value
         return {**made, "checksum": row_checksum({name: made[name] for name in cls.SEALED})}
 
     def check(self) -> None:

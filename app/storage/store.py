@@ -21,6 +21,7 @@ from jointplay.app.errors import AppError, BusyError, UnknownDiagnosisError, Unk
 from jointplay.app.storage import audit
 from jointplay.app.storage.assets import touch_owners
 from jointplay.app.storage.database import ServiceDatabase, database_url
+from jointplay.app.storage.idempotency import Claims
 from jointplay.app.storage.retention import Quotas
 from jointplay.app.storage.rows import (
     Base,
@@ -112,6 +113,8 @@ class Store:
     ----------
     database : ServiceDatabase
         Other modules keep their tables in it, too.
+    claims : Claims
+        Of keys of idempotency.
     files : StoredFiles
         What lies in the folder, and may be deleted.
 
@@ -130,6 +133,7 @@ class Store:
         self.database = ServiceDatabase(database_url(url) if url else file, Base.metadata)
         self.files = StoredFiles(directory, self.database)
         self.files.settle()
+        self.claims = Claims(self.database)  # before what ends a transaction: that waits for nothing any more
         audit.attend(self.database)
         self._session = self.database.session
 
@@ -232,7 +236,7 @@ class Store:
             When the same bytes were deleted at this moment.
         """
         with self._named(upload), self.database.writing() as session:
-            kept = self._put_measurement(session, upload, name, told or Told(), summary)
+            kept, _ = self._put_measurement(session, upload, name, told or Told(), summary)
             if also is not None:
                 also(session, kept.id)
         return kept
@@ -242,13 +246,16 @@ class Store:
     ) -> DiagnosisRow:
         """Store a measurement and a diagnosis of it in one transaction, as one call after the other would."""
         with self._named(upload), self.database.writing() as session:
-            self._put_measurement(session, upload, name, told, summary)
+            _, new = self._put_measurement(session, upload, name, told, summary)
+            if not new:  # what nobody else knows yet, nobody has deleted
+                refuse_deleted(session, "measurement", [diagnosis.measurement])
             kept = self._put_diagnosis(session, diagnosis)
         return kept
 
     def _put_measurement(
         self, session: Session, upload: Upload, name: str, told: Told, summary: Mapping[str, Any]
-    ) -> MeasurementRow:
+    ) -> tuple[MeasurementRow, bool]:
+        """Return what is stored, and whether it was not there before."""
         self.files.lock(session, alone=False)
         if not self.path_of(upload.sha256).is_file():
             raise BusyError("the same bytes were deleted at this moment; send them again")
@@ -282,12 +289,11 @@ class Store:
             audit.note(session, "made", "measurement", kept.id, after=about_measurement(kept))
         elif told.measured_at is not None or is_first_told:
             correct(session, kept, moment, source)
-        return kept
+        return kept, new
 
     def _put(self, session: Session, table: type[Row], row: dict[str, Any]) -> tuple[Row, bool]:
         """Insert a row, or find the one of the same id; return it, and whether it is new."""
-        statement = self.database.insert(table).values(row).on_conflict_do_nothing(index_elements=["id"])
-        number = session.scalar(statement.returning(table.number))
+        number = session.scalar(self.database.insert_new(table), row)
         if number is not None:
             return table(number=number, **row), True
         return session.scalars(select(table).filter_by(id=row["id"])).one(), False
@@ -349,12 +355,13 @@ class Store:
     def add_diagnosis(self, diagnosis: NewDiagnosis) -> DiagnosisRow:
         """Store a finished diagnosis, or return the one stored before if it says the same of the same measurement."""
         with self.database.writing() as session:
+            refuse_deleted(session, "measurement", diagnosis.request.get("measurements") or [diagnosis.measurement])
             return self._put_diagnosis(session, diagnosis)
 
     def _put_diagnosis(self, session: Session, diagnosis: NewDiagnosis) -> DiagnosisRow:
-        refuse_deleted(session, "measurement", diagnosis.request.get("measurements") or [diagnosis.measurement])
         kept, new = self._put(session, DiagnosisRow, DiagnosisRow.seal(diagnosis.row()))
         if new:
+            kept.answer = diagnosis.result  # not read again from what was just made of it
             audit.note(session, "made", "diagnosis", kept.id, after=about_diagnosis(kept))
             if diagnosis.also is not None:
                 diagnosis.also(session, kept.id)

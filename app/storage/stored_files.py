@@ -45,6 +45,8 @@ FILES_LOCK = 7_264_917_003_121
 """Key of PostgreSQL's advisory lock that whoever deletes files holds alone, and whoever names them holds in common."""
 
 
+_ALONE, _SHARED = text("SELECT pg_advisory_xact_lock(:key)"), text("SELECT pg_advisory_xact_lock_shared(:key)")
+
 Item = TypeVar("Item")
 
 
@@ -170,8 +172,7 @@ class StoredFiles:
     def lock(self, session: Session, *, alone: bool) -> None:
         """Keep whoever deletes files from those that a row is about to speak of; SQLite has one writer anyway."""
         if not self._database.is_sqlite:
-            how = "" if alone else "_shared"
-            session.execute(text(f"SELECT pg_advisory_xact_lock{how}(:key)"), {"key": FILES_LOCK})
+            session.execute(_ALONE if alone else _SHARED, {"key": FILES_LOCK})
 
 
 def spoken_of(session: Session, checksums: Collection[str]) -> set[str]:

@@ -16,7 +16,7 @@ from datetime import datetime, timedelta
 from typing import Any, Literal
 from urllib.parse import urlsplit
 
-from sqlalchemy import JSON, ForeignKey, String, Text, delete, func, or_, select, update
+from sqlalchemy import JSON, ForeignKey, String, Text, delete, exists, func, or_, select, update
 from sqlalchemy.orm import Mapped, Session, mapped_column
 
 from jointplay.app.errors import BadFieldError, UnknownDeliveryError, UnknownWebhookError, WebhookDisabledError
@@ -337,6 +337,13 @@ class Webhooks:
             return Backlog(count, age, session.scalar(disabled) or 0)
 
 
+_TOLD = (
+    select(WebhookRow)
+    .where(~exists().where(TroubleRow.webhook == WebhookRow.id, TroubleRow.disabled_at.is_not(None)))
+    .with_for_update(read=True, key_share=True, of=WebhookRow)
+)
+
+
 def announce(session: Session, event: Event, members: Mapping[str, Any]) -> None:
     """Note in a transaction that everybody who asked for an event is to be told of it.
 
@@ -348,10 +355,8 @@ def announce(session: Session, event: Event, members: Mapping[str, Any]) -> None
         What is told, as JSON values.
     """
     # Nobody may forget one of them before this transaction is over: its deliveries would belong to nothing.
-    held = select(WebhookRow).with_for_update(read=True, key_share=True)
-    disabled = set(session.scalars(select(TroubleRow.webhook).where(TroubleRow.disabled_at.is_not(None))))
-    for hook in session.scalars(held):
-        if event in hook.events and hook.id not in disabled:
+    for hook in session.scalars(_TOLD):
+        if event in hook.events:
             session.add(delivery_of(hook, event, members))
 
 

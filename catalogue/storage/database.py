@@ -145,8 +145,8 @@ class Database:
         Options of connections to PostgreSQL.
     pool_wait : float
         Longest wait for one of its connections [s].
-    loads : callable
-        Reads the JSON of columns.
+    json_texts : (callable, callable)
+        Read and write the JSON of columns.
 
     Attributes
     ----------
@@ -167,11 +167,11 @@ class Database:
         durable: bool,
         connect: Mapping[str, Any],
         pool_wait: float = 30.0,
-        loads: Callable[[Any], Any] = json.loads,
+        json_texts: tuple[Callable[[Any], Any], Callable[[Any], str]] = (json.loads, json.dumps),
     ) -> None:
         self.is_sqlite = url.get_backend_name() == "sqlite"
         self.name = str(url.database) if self.is_sqlite else url.set(drivername="postgresql").render_as_string()
-        options: dict[str, Any] = {"json_deserializer": loads}
+        options: dict[str, Any] = {"json_deserializer": json_texts[0], "json_serializer": json_texts[1]}
         if not self.is_sqlite:
             options |= {"pool_pre_ping": True, "pool_timeout": pool_wait, "connect_args": dict(connect)}
         try:

@@ -17,6 +17,7 @@ from alembic.migration import MigrationContext
 from answers import diagnosis
 from older_tables import say_twice_who_stored, take_seals
 from sqlalchemy import event, inspect, text
+from sqlalchemy.orm import Session
 from uploaded import SHA256, SIZE, uploaded
 
 from jointplay.app.errors import AppError, BadFieldError, UnauthorizedError, UnknownAssetError, UnknownMeasurementError
@@ -30,6 +31,7 @@ from jointplay.app.storage.rows import DiagnosisRow, now
 from jointplay.app.storage.standings import Standings
 from jointplay.app.storage.store import NewDiagnosis, Store, measurement_key
 from jointplay.app.storage.told import Told
+from jointplay.app.storage.webhooks import announce
 from jointplay.catalogue.storage.database import Database
 
 MACHINE = {"name": "m", "joints": {"B": {"kind": "turning"}}}
@@ -103,6 +105,27 @@ def test_a_transaction_that_fails_leaves_nothing(store: Store) -> None:
     with pytest.raises(KeyError):
         spoiled()
     assert store.measurement(kept.id).id == kept.id
+
+
+def test_a_recording_and_its_answer_are_one_transaction_of_few_statements(store: Store) -> None:
+    """A statement more costs a server of many clients its rate: beside rows, webhooks are told and a chain is noted."""
+
+    def told(session: Session, key: str) -> None:
+        announce(session, "diagnosis.created", {"diagnosis": key})
+
+    def both(name: str) -> None:
+        upload = uploaded(store)
+        key = measurement_key(upload.sha256, name, Told())
+        asked = NewDiagnosis(key, "c" * 64, MACHINE, {"asset": None}, diagnosis(), told)
+        store.add_both(upload, name, Told(), {}, asked)
+
+    both("a.csv")  # the first row of the audit log makes the chain's end
+    said: list[str] = []
+    event.listen(store.database.engine, "before_cursor_execute", lambda *given: said.append(given[2]))
+    event.listen(store.database.engine, "commit", lambda _: said.append("COMMIT"))
+    both("b.csv")
+    words = [each.split()[0] for each in said[1:]]  # the first begins the transaction, or locks
+    assert words == ["INSERT", "INSERT", "SELECT", "SELECT", "INSERT", "UPDATE", "COMMIT"]
 
 
 def test_tables_of_version_1_become_those_of_now(tmp_path: Path) -> None:

@@ -5,18 +5,27 @@ from __future__ import annotations
 import asyncio
 import threading
 from collections.abc import Awaitable, Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextvars import Context
 from datetime import timedelta
+from pathlib import Path
+from time import sleep
 from typing import Any
 
 import httpx
+import psutil
 import pytest
+from databases import KINDS, database
+from service_process import ServiceProcess, client_of, service_process
+from sqlalchemy import update
 from sqlalchemy.exc import OperationalError
 from starlette.requests import Request
 from starlette.responses import Response
 
 import jointplay.app.storage.idempotency
 from jointplay.app.errors import KeyInUseError, KeyReusedError
-from jointplay.app.storage.idempotency import KEPT, LEASE, forget, once, reserve, settle
+from jointplay.app.storage.audit import AuditLog, note
+from jointplay.app.storage.idempotency import KEPT, LEASE_S, Claim, Claims, IdempotencyRow, forget, once
 from jointplay.app.storage.rows import now
 from jointplay.app.storage.store import Store
 
@@ -38,7 +47,7 @@ class Work:
 def ask(store: Store, work: Any, content: object = "a", key: str | None = "k", client: str = "") -> Response:
     scope = {"type": "http", "method": "POST", "path": "/things", "headers": [], "state": {"key": client or None}}
     scope |= {"scheme": "http", "server": ("127.0.0.1", 80), "query_string": b""}
-    return asyncio.run(once(Request(scope), key, store.database, content, work))
+    return asyncio.run(once(Request(scope), key, store.claims, content, work))
 
 
 def test_done_once_and_answered_the_same(store: Store) -> None:
@@ -65,7 +74,7 @@ def test_two_at_once(store: Store) -> None:
 
     async def outer() -> Response:
         with pytest.raises(KeyInUseError):
-            await asyncio.to_thread(ask, store, inner)
+            await elsewhere(ask, store, inner)
         return Response("whole", 201)
 
     assert ask(store, outer).body == b"whole"
@@ -97,7 +106,7 @@ def test_a_key_that_cannot_be_freed_hides_no_failure_and_holds_nobody_up(
 
         return act
 
-    monkeypatch.setattr(jointplay.app.storage.idempotency, "settle", fail)
+    monkeypatch.setattr(store.claims, "settle", fail)
     with pytest.raises(KeyReusedError, match="why it failed"):
         ask(store, failing(KeyReusedError("why it failed")))
     with pytest.raises(asyncio.CancelledError):
@@ -117,26 +126,118 @@ def test_keys_end(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
         assert work.done == done
 
 
-def test_a_key_whose_server_died_is_free_after_a_while(store: Store) -> None:
-    moment = now()
-    assert reserve(store.database, "place", "print", moment) is None  # and nobody settles it
-    with pytest.raises(KeyInUseError):
-        reserve(store.database, "place", "print", moment + LEASE)
-    assert reserve(store.database, "place", "print", moment + LEASE + timedelta(seconds=1)) is None
+async def elsewhere(act: Callable[..., Any], *given: Any) -> Any:
+    """Do something as another server would: in a thread, and for no claim of this one."""
+    return await asyncio.to_thread(Context().run, act, *given)
+
+
+def be_silent(store: Store) -> None:
+    """Let the servers of all claims have given no sign of life for longer than a lease."""
+    with store.database.writing() as session:
+        session.execute(update(IdempotencyRow).values(lease_until=IdempotencyRow.lease_until - LEASE_S - 1))
+
+
+def claim(claims: Claims) -> Claim:
+    taken = claims.take("place", "print")
+    assert isinstance(taken, Claim)
+    return taken
+
+
+def test_a_key_is_free_when_its_server_gives_no_sign_of_life(store: Store) -> None:
+    here, other = store.claims, Claims(store.database)
+    claim(here)
+    for _ in range(3):
+        with pytest.raises(KeyInUseError):
+            other.take("place", "print")
+        be_silent(store)
+        here.beat()
+    be_silent(store)
+    claim(other)
 
 
 def test_who_took_too_long_settles_nothing_of_another(store: Store) -> None:
-    early = now()
-    late = early + LEASE + timedelta(seconds=1)
-    assert reserve(store.database, "place", "print", early) is None
-    assert reserve(store.database, "place", "print", late) is None
+    early = claim(store.claims)
+    be_silent(store)
+    late = claim(store.claims)
     for answer in (None, Response("early", 201)):
-        settle(store.database, "place", early, answer)
+        store.claims.settle(early, answer)
         with pytest.raises(KeyInUseError):
-            reserve(store.database, "place", "print", late)
-    settle(store.database, "place", late, Response("late", 201))
-    kept = reserve(store.database, "place", "print", late)
-    assert kept is not None and kept.body == b"late"
+            store.claims.take("place", "print")
+    store.claims.settle(late, Response("late", 201))
+    kept = store.claims.take("place", "print")
+    assert isinstance(kept, Response) and kept.body == b"late"
+
+
+def test_who_took_too_long_commits_nothing_beside_another(store: Store) -> None:
+    """A server that was stopped for a while goes on, when another has done the request."""
+
+    def write(name: str) -> None:
+        with store.database.writing() as session:
+            note(session, "made", "thing", name)
+
+    async def other() -> Response:
+        await asyncio.to_thread(write, "other")
+        return Response("other", 201)
+
+    async def slow() -> Response:
+        await elsewhere(be_silent, store)
+        assert (await elsewhere(ask, store, other)).body == b"other"
+        await asyncio.to_thread(write, "slow")
+        return Response("slow", 201)
+
+    with pytest.raises(KeyInUseError, match="another request with it was let in"):
+        ask(store, slow)
+    assert ask(store, slow).body == b"other"
+    assert [row.object for row in AuditLog(store.database).page(None, 9)] == ["other"]
+
+
+def test_who_was_slow_alone_commits(store: Store) -> None:
+    """Until another request with the key comes, nobody is in the way; and from the commit on a lease begins anew."""
+
+    async def slow() -> Response:
+        await elsewhere(be_silent, store)
+        with store.database.writing() as session:
+            note(session, "made", "thing", "slow")
+        with pytest.raises(KeyInUseError):
+            await elsewhere(ask, store, Work())
+        return Response("slow", 201)
+
+    assert ask(store, slow).body == b"slow"
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_server_that_is_killed_holds_no_key_for_long(kind: str, shelf: Path, worn: bytes, tmp_path: Path) -> None:
+    """Killed in the midst of a write; the next server of the database does it, once."""
+    with database(kind, tmp_path) as url:
+        (tmp_path / "catalogues").symlink_to(shelf)
+        headers = {"Idempotency-Key": "k-1"}
+
+        def send(running: ServiceProcess) -> httpx.Response:
+            with client_of(running) as asking:
+                return asking.post(f"{API}/measurements", files={"file": ("held.csv", worn)}, headers=headers)
+
+        with service_process(tmp_path, "--no-keys", database=url) as first, ThreadPoolExecutor() as threads:
+            with client_of(first) as asking:
+                assert asking.post(f"{API}/measurements", files={"file": ("a.csv", worn)}).status_code == 201
+                worker = psutil.Process(first.worker())
+                worker.suspend()
+                held = threads.submit(send, first)
+                while "jointplay_workers_busy 1.0" not in asking.get("/metrics").text:
+                    sleep(0.1)
+            assert send(first).status_code == 409
+            first.process.kill()
+            worker.kill()
+            assert isinstance(held.exception(), httpx.TransportError)
+        with service_process(tmp_path, "--no-keys", database=url) as second:
+            answers = [send(second)]
+            while answers[-1].status_code == 409 and len(answers) < 10 * LEASE_S:
+                sleep(0.2)
+                answers.append(send(second))
+            assert answers[-1].status_code == 201, "within seconds, or two leases"
+            assert send(second).content == answers[-1].content
+            with client_of(second) as asking:
+                items = asking.get(f"{API}/measurements").json()["items"]
+        assert [item["name"] for item in items] == ["held.csv", "a.csv"]
 
 
 def test_over_http(client: httpx.Client, worn: bytes) -> None:
