@@ -120,7 +120,7 @@ def test_an_alarm_is_found_acknowledged_and_repaired(visit: Visit, client: httpx
     page.get_by_role("link", name="Enter what was found or repaired").click()
     page.get_by_role("button", name="Keep it").click()
     expect(page.get_by_text("give joints with their clearance, or a text")).to_be_visible()
-    page.get_by_label("Joint B", exact=True).fill("150")
+    page.get_by_label("Joint B", exact=True).fill("300")
     page.locator("#repaired-B").check()
     assert is_within_screen(page) and serious(page) == []
     page.get_by_role("button", name="Keep it").click()
