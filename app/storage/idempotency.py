@@ -180,7 +180,8 @@ class Claims:
     def _confirm(self, session: Session) -> None:
         """Refuse to commit what another request with the same key is doing by now."""
         claim = _CLAIM.get()
-        if claim is not None:
+        # What reads from a connection goes on in the context of the request that began it: one that was answered.
+        if claim in self._held:
             mine = (IdempotencyRow.id == claim.place) & (IdempotencyRow.owner == claim.owner)
             # With the commit the lease begins anew, so that nobody takes the key over before the answer is kept.
             renewed = update(IdempotencyRow).where(mine).values(self._signed()).returning(IdempotencyRow.id)

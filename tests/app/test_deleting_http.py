@@ -109,7 +109,8 @@ def test_a_recording_and_all_that_speaks_of_it(alone: httpx.Client, worn: bytes)
     assert again == diagnosis
     assert alone.get(measurement).status_code == 200
     for place_of in (f"{API}/findings/{finding['id']}", place, measurement, f"{API}/assets/press-7"):
-        assert alone.delete(place_of).status_code == 204, place_of
+        answer = alone.delete(place_of)
+        assert answer.status_code == 204, answer.text
         problem(alone.get(place_of), 410, "deleted")
     fresh = alone.post(f"{API}/diagnoses", **sent, headers=key)  # type: ignore[arg-type]
     assert "asset press-7: was deleted" in problem(fresh, 410, "deleted")  # and not the answer of then
