@@ -8,6 +8,7 @@ import numpy as np
 
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.channel_units import ChannelUnit, is_voltage, parse_unit, time_unit_in
+from jointplay.catalogue.measurements.missing_cells import refuse_missing
 from jointplay.catalogue.measurements.readers.raw import RawColumn, RawRecording
 
 #: Seconds since 1970 of 2001 to 2096: a time column that begins there is not one of seconds since a start.
@@ -50,6 +51,10 @@ def understood_columns(raw: RawRecording, given: Mapping[str, str]) -> list[Chan
     if is_spectrum(raw, given):
         rule = "the file holds a spectrum, not a recording over time"
         raise MeasurementError(raw.source, None, raw.columns[0].label, rule=rule)
+    for index, column in enumerate(raw.columns):
+        unit = parse_unit(find_unit(column, given) or "")
+        if time_unit_in(column.name) is not None or (unit is not None and unit.quantity == "time"):
+            refuse_missing(raw, index, "take the row out, or leave out the column by ignore in a profile")
     understood = [_unit_of(column, given, raw, index) for index, column in enumerate(raw.columns)]
     if not any(unit is not None and unit.quantity != "time" for unit in understood):
         column = raw.columns[-1]

@@ -279,10 +279,10 @@ def edited(line: int, new: str) -> bytes:
     ("data", "expected"),
     [
         (edited(120, "0.118,abc,1"), "r.csv: line 120: column 's1-x': 'abc': is not a number"),
-        (edited(120, "0.118,1,"), "r.csv: line 120: 2 fields, expected 3"),
-        (edited(120, "0.118,,1"), "r.csv: line 120: column 's1-x': is empty"),
+        (edited(120, "0.118,1"), "r.csv: line 120: 2 fields, expected 3"),
+        (edited(120, ",1,1"), "r.csv: line 120: column 'time': has no number: take the row out"),
         (edited(120, "0.118,1,2,3"), "r.csv: line 120: 4 fields, expected 3"),
-        (edited(120, "0.118,nan,1"), "r.csv: line 120: column 's1-x': 'nan': is not finite"),
+        (edited(120, "nan,1,1"), "r.csv: line 120: column 'time': has no number: take the row out"),
         (edited(120, "0.118,1,-Inf"), "r.csv: line 120: column 's1-y': '-Inf': is not finite"),
         (edited(120, "0.118,1e999,1"), "r.csv: line 120: column 's1-x': '1e999': is not finite"),
         (edited(120, "0.118,1_0,1"), "r.csv: line 120: column 's1-x': '1_0': is not a number"),
