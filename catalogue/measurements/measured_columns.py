@@ -7,7 +7,13 @@ from collections.abc import Mapping
 import numpy as np
 
 from jointplay.catalogue.errors import MeasurementError
-from jointplay.catalogue.measurements.channel_units import ChannelUnit, is_voltage, parse_unit, time_unit_in
+from jointplay.catalogue.measurements.channel_units import (
+    ChannelUnit,
+    is_counter_name,
+    is_voltage,
+    parse_unit,
+    time_unit_in,
+)
 from jointplay.catalogue.measurements.missing_cells import refuse_missing
 from jointplay.catalogue.measurements.readers.raw import RawColumn, RawRecording
 
@@ -90,8 +96,11 @@ def _unit_of(column: RawColumn, given: Mapping[str, str], raw: RawRecording, ind
     text, source, own = find_unit(column, given), raw.source, time_unit_in(column.name)
     if text is None and own is not None:
         text = own or _time_unit(raw, index)
+    if own is None and is_counter(raw, index, given):
+        return None
     if text is None:
-        rule = f"has no unit: write it in the header, as in '{column.name} [m/s2]', or give it: {column.name}=g"
+        rule = f"has no unit: write it in the header, as in '{column.name} [m/s2]', or give it: {column.name}=g;"
+        rule += " if it is no signal, leave it out by ignore in a profile"
         raise MeasurementError(source, None, column.name, rule=rule, field="units")
     unit = parse_unit(text)
     if own is None and text != column.unit and unit is None:
@@ -100,6 +109,14 @@ def _unit_of(column: RawColumn, given: Mapping[str, str], raw: RawRecording, ind
     if own is not None and (unit is None or unit.quantity != "time"):
         raise MeasurementError(source, None, column.name, text, "is not a unit of time", field="units")
     return None if unit is not None and unit.quantity == "frequency" else unit
+
+
+def is_counter(raw: RawRecording, index: int, given: Mapping[str, str]) -> bool:
+    """Whether a column counts the rows: it is called so, nobody names its unit, and it goes up by one."""
+    column = raw.columns[index]
+    if column.unit is not None or column.name in given or not is_counter_name(column.name):
+        return False
+    return bool(np.all(np.diff(raw.values[:, index]) == 1.0))
 
 
 def _time_unit(raw: RawRecording, index: int) -> str:

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.channel_units import ChannelUnit
 from jointplay.catalogue.measurements.import_profile import ImportProfile, profile_beside
-from jointplay.catalogue.measurements.measured_columns import EPOCH_FROM, EPOCH_TO, understood_columns
+from jointplay.catalogue.measurements.measured_columns import EPOCH_FROM, EPOCH_TO, is_counter, understood_columns
 from jointplay.catalogue.measurements.missing_cells import fill_cells
 from jointplay.catalogue.measurements.moments import place_moment, spell
 from jointplay.catalogue.measurements.readers import Limits, RawColumn, RawRecording, read_raw
@@ -272,7 +272,9 @@ def measurement_of(
     flaws: list[ChannelFlaw] = []
     for index, (column, unit) in enumerate(zip(raw.columns, understood, strict=True)):
         label = f"{column.position} {column.label!r}"
-        if unit is None:
+        if unit is None and is_counter(raw, index, units or {}):
+            facts.append(f"{label}: counts the rows, no signal: left out")
+        elif unit is None:
             facts.append(f"{label}: left out")
             warnings.append(
                 f"column {column.label!r} left out: its unit is not one of displacement, velocity or acceleration"

@@ -356,7 +356,7 @@ def test_limits_hold() -> None:
 def test_files_that_cannot_be_opened_or_are_of_another_kind(tmp_path: Path) -> None:
     with pytest.raises(MeasurementError, match=r"missing\.csv: cannot be read: No such file"):
         read_measurement(tmp_path / "missing.csv")
-    assert "kind of file .xyz is not read; known: .58b, .arrow, .csv" in refusal(text(), "r.xyz")
+    assert "kind of file .xyz is not read; known: .58b, .arrow, .asc, .csv" in refusal(text(), "r.xyz")
     assert "is an MDF file, which is not read: export it as CSV, TDMS or MAT" in refusal(b"MDF     4.10", "r.mf4")
     assert "export it as CSV" in refusal(text(), "r.MF4.gz") and "export it as CSV" in refusal(b"UnFinMF 4.11", "r.dat")
     assert "without suffix" in refusal(text(), "r")

@@ -135,7 +135,7 @@ def test_columns_that_are_ignored_may_hold_anything() -> None:
     found = read(mixed, ignore=["Remark"])
     assert found.channel_names == ("a", "b") and np.array_equal(found.signal, SIGNAL)
     once = plain(line_300="0.298,Fehler,0.5")
-    assert f"is not a number: correct it, or leave out the column by ignore in a profile {CURE}" in refusal(once)
+    assert "is not a number: correct it, or leave out the column by ignore in a profile" in refusal(once)
     assert read(once, ignore=["a"]).channel_names == ("b",)
 
 

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from jointplay.catalogue.errors import MeasurementError
-from jointplay.catalogue.measurements.channel_units import parse_unit, split_label, time_unit_in
+from jointplay.catalogue.measurements.channel_units import UNIT_WORDS, parse_unit, split_label, time_unit_in
 from jointplay.catalogue.measurements.readers.dialect import (
     Dialect,
     TableLayout,
@@ -220,17 +220,24 @@ def _columns(head: Sequence[str], layout: TableLayout, source: str) -> tuple[tup
         name = split_label(names[position])[0] if len(names) == len(labels) else str(position + 1)
         raise MeasurementError(source, index + 1, name, labels[position] or None, cell_rule(labels[position], dialect))
     used = {index}
-    if all(parse_unit(label) is not None for label in labels):
+    named = labels[0].strip(":").lower() in UNIT_WORDS and len(labels) > 1
+    if all(parse_unit(label) is not None for label in labels[named:]):
         # A line of units below a line of names.
         above = _line_above(head, index)
         names = header_fields(head[above], layout) if above is not None else []
         if above is None or len(names) != len(labels):
             raise MeasurementError(source, index + 1, rule="a line of units without a line of names above it")
         used.add(above)
-        pairs: list[tuple[str, str | None]] = list(zip(names, labels, strict=True))
-        labels = [f"{name} [{unit}]" for name, unit in zip(names, labels, strict=True)]
+        # The line of units may be called so, in a column that has none.
+        pairs: list[tuple[str, str | None]] = [(names[0], None)] if named else []
+        pairs += zip(names[named:], labels[named:], strict=True)
+        labels = [name if unit is None else f"{name} [{unit}]" for name, unit in pairs]
     else:
         pairs = [split_label(label) for label in labels]
+        of_units, units = _units_above(head, index, layout)
+        if of_units is not None:
+            used.add(of_units)
+            pairs[1:] = [(name, own or unit) for (name, own), unit in zip(pairs[1:], units, strict=True)]
     columns = tuple(
         RawColumn(label, name, unit, f"column {number}")
         for number, (label, (name, unit)) in enumerate(zip(labels, pairs, strict=True), start=1)
@@ -240,6 +247,15 @@ def _columns(head: Sequence[str], layout: TableLayout, source: str) -> tuple[tup
         if len(same) > 1:
             raise MeasurementError(source, index + 1, column, rule=f"name stands over {len(same)} columns")
     return columns, used
+
+
+def _units_above(head: Sequence[str], index: int, layout: TableLayout) -> tuple[int | None, list[str]]:
+    """Line of units somewhere above the names, called so in its first field, and those of all columns but the first."""
+    for number in range(index - 1, -1, -1):
+        name, *units = layout.dialect.split(head[number])
+        if name.strip(":").lower() in UNIT_WORDS and len(units) == layout.columns - 1 and all(map(parse_unit, units)):
+            return number, units
+    return None, []
 
 
 def _surplus(header: str, layout: TableLayout) -> list[str]:

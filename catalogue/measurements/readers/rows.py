@@ -132,7 +132,7 @@ def _read_line_by_line(
                 numbers.append(np.nan)
             else:
                 rule = f"{cell_rule(field, layout.dialect)}: correct it, or leave out the column by ignore in a profile"
-                raise MeasurementError(source, number, column.name, field, rule, field="profile")
+                raise MeasurementError(source, number, column.name, field, rule)  # the file is at fault
     return np.frombuffer(numbers, np.float64).reshape(-1, layout.columns).copy()
 
 
