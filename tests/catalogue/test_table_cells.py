@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Iterator, Sequence
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
+import pyarrow
+import pyarrow.parquet
 import pytest
 
 from jointplay.app.problems import say
@@ -203,3 +206,13 @@ def test_a_channel_that_never_changes_is_refused_with_its_cure() -> None:
     rule = "column 'c': 0.0: the channel never changes: if it is no sensor, leave it out by ignore: [c] in a profile"
     assert f"{rule} {CURE}" in refusal(data)
     assert np.array_equal(read(data, ignore=["c"]).signal, SIGNAL)
+
+
+@pytest.mark.parametrize("none", [None, float("nan")])
+def test_cells_of_parquet_files_are_filled_too(none: float | None) -> None:
+    held = {"t [s]": TIMES, "a [m/s2]": [*SIGNAL[:298, 0], none, *SIGNAL[299:, 0]], "b [m/s2]": SIGNAL[:, 1]}
+    file = io.BytesIO()
+    pyarrow.parquet.write_table(pyarrow.table(held), file)
+    found = read_measurement(file.getvalue(), name="r.parquet")
+    assert np.abs(found.signal - SIGNAL).max() < 1e-4
+    assert found.warnings[0].startswith("channel 'a': 1 cell has no number: filled from the rows beside")

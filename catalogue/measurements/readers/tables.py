@@ -147,8 +147,10 @@ def _recording_of(arrow: Any, table: Any, kind: str, source: str) -> RawRecordin
         values.append(np.asarray(numbers, dtype=np.float64))
     if not columns:
         raise MeasurementError(source, rule="holds no column of numbers")
+    numbers = np.column_stack(values)
+    absent = bool(np.isnan(numbers).any())
     return RawRecording(
-        source, tuple(columns), np.column_stack(values), None, tuple(facts), declared=table.num_rows, moment=moment
+        source, tuple(columns), numbers, None, tuple(facts), declared=table.num_rows, moment=moment, absent=absent
     )
 
 
