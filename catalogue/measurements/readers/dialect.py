@@ -12,11 +12,11 @@ _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 #: Not numbers to compute with, but a cell of a table of numbers all the same.
 _NOT_FINITE = re.compile(r"[+-]?(nan|inf|infinity|1\.#\w+)", re.IGNORECASE)
 #: Of a cell that a program had no number for, or none in its range; not of a damaged one.
-_MISSING = re.compile(
+MISSING = (
     r"-?nan|#?n/?a|#n/?v|#(num|div/0|value)!|null|none|-{1,3}|\?|invalid|missing|1\.#(ind|qnan|snan)"
-    r"|[+-]?(over ?(flow|load|range|run)?|under ?(flow|range)|ovr|ovl|ol)",
-    re.IGNORECASE,
+    r"|[+-]?(over ?(flow|load|range|run)?|under ?(flow|range)|ovr|ovl|ol)"
 )
+_MISSING = re.compile(MISSING, re.IGNORECASE)
 _NAMES = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "blanks"}
 
 #: Lines that must read as numbers, one after the other, before a table is believed to begin; and where some of their

@@ -11,7 +11,7 @@ import numpy as np
 
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.readers.decimal_table import plain_table
-from jointplay.catalogue.measurements.readers.dialect import Dialect, TableLayout, is_comment
+from jointplay.catalogue.measurements.readers.dialect import MISSING, Dialect, TableLayout, is_comment
 from jointplay.catalogue.measurements.readers.raw import RawColumn
 from jointplay.solver.arrays import FloatArray
 
@@ -66,16 +66,25 @@ def read_rows(
     if quick is not None:
         quick[:, sorted(layout.texts)] = np.nan
         return quick, range(layout.first + 1, layout.first + 1 + len(quick))
-    try:
-        # Of a text itself, numpy would read a copy of four bytes a character.
-        lines = io.TextIOWrapper(io.BytesIO(plain.encode()), encoding="utf-8")
-        values = np.loadtxt(lines, delimiter=delimiter, comments="#", dtype=np.float64, ndmin=2)
-    except ValueError:
-        values = None
-    if values is None or values.shape[1] != layout.columns or not np.all(np.isfinite(values)):
+    values = _load(plain, delimiter)
+    if values is None and delimiter is not None:
+        mark = re.escape(delimiter)
+        missing = rf"(?<={mark})[ \r]*(?:(?:{MISSING})[ \r]*)?(?={mark}|$)"
+        values = _load(re.sub(missing, "nan", plain, flags=re.MULTILINE | re.IGNORECASE), delimiter)
+    if values is None or values.shape[1] != layout.columns or np.any(np.isinf(values)):
         values = _read_line_by_line(text, layout, columns, ignored, source)
     values[:, sorted(layout.texts)] = np.nan
     return values, np.array([number for number, _line in _rows(text, layout)], np.float64)
+
+
+def _load(text: str, delimiter: str | None) -> FloatArray | None:
+    """Numbers of a text, by numpy; None where that cannot read all of it."""
+    try:
+        # Of a text itself, numpy would read a copy of four bytes a character.
+        lines = io.TextIOWrapper(io.BytesIO(text.encode()), encoding="utf-8")
+        return np.loadtxt(lines, delimiter=delimiter, comments="#", dtype=np.float64, ndmin=2)
+    except ValueError:
+        return None
 
 
 def without_footer(text: str, layout: TableLayout) -> tuple[str, list[str]]:
