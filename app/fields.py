@@ -82,6 +82,7 @@ ALL_OTHERS = "*"
 _ENTRIES = {each.name: (each.option, each.label) for each in FILE_FIELDS} | {
     "profile": ("profile", "Profile"),
     "mapping": ("map", "Columns and their sensors"),
+    "speed": ("speed", "Drive speed"),
 }
 
 

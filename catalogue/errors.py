@@ -6,8 +6,11 @@ from pathlib import Path
 
 
 def _one_line(*parts: object) -> str:
-    shown = (" ".join(str(part).split()) for part in parts if part is not None)
-    return ": ".join(part if len(part) <= 160 else part[:157] + "..." for part in shown if part)
+    """Parts of a message in one line; the last is the rule, which lists what there is and may be longer."""
+    shown = [" ".join(str("" if part is None else part).split()) for part in parts]
+    most = [160] * (len(parts) - 1) + [480]
+    cut = (part if len(part) <= limit else part[: limit - 3] + "..." for part, limit in zip(shown, most, strict=True))
+    return ": ".join(part for part in cut if part)
 
 
 class CatalogueError(Exception):
@@ -122,8 +125,8 @@ class MeasurementError(CatalogueError):
         The rule it breaks, as a phrase: "is not a number".
     field : str
         What its sender has to say, or said wrongly: ``sample_rate``, ``units``, ``full_scale``, ``sensitivity``,
-        ``tacho``, ``scaling``, ``detector``, ``window``, ``reference``, ``measured_at``, ``profile``; empty where the
-        file is at fault.
+        ``tacho``, ``scaling``, ``detector``, ``window``, ``reference``, ``measured_at``, ``profile``, ``speed``; empty
+        where the file is at fault.
     """
 
     def __init__(

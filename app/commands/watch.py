@@ -35,7 +35,7 @@ TRIES = 3
 UNENDED = 10.0
 """How much longer a text is waited for that does not end with a line: it is probably still being written."""
 
-TEXTS = (".csv", ".tsv", ".txt")
+TEXTS = (".csv", ".tsv", ".txt", ".lvm", ".asc", ".dat")
 ASIDE = (".tmp", ".part", ".partial", ".filepart", ".crdownload", ".yaml", ".yml")
 """Endings of files under way, and of profiles."""
 

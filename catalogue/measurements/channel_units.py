@@ -36,6 +36,22 @@ TIME_NAMES = frozenset({
     "time", "t", "zeit", "temps", "tempo", "tiempo", "tijd", "tid", "czas", "timestamp", "time_stamp", "datetime",
     "zeitstempel", "epoch", "epoch_time", "unix", "unix_time", "unixtime", "elapsed", "elapsed_time", "x_value",
 })  # fmt: skip
+#: Units of what is no motion, small, that might be words of a name: their columns are left out, not asked about.
+_OTHER_UNITS = frozenset({
+    "a", "ma", "amp", "amps", "ampere", "amperes", "volt", "volts", "millivolt", "millivolts", "w", "kw", "watt",
+    "watts", "va", "kva", "ohm", "kohm", "pf", "nf", "uf", "pc", "c", "f", "k", "degc", "degf", "celsius",
+    "fahrenheit", "kelvin", "deg", "degree", "degrees", "grad", "rad", "rpm", "upm", "n", "kn", "mn", "newton",
+    "newtons", "nm", "knm", "kg", "lb", "lbs", "pa", "kpa", "mpa", "bar", "mbar", "psi", "pascal", "percent", "pct",
+    "prozent", "db", "dba", "count", "counts", "digits", "bit", "bits", "lsb",
+})  # fmt: skip
+#: What a column is called that counts rows, small and letters alone; and what a line of units begins with.
+_COUNTER = re.compile(
+    r"(sample|samples|unnamed|index|idx|no|nr|num|number|nummer|row|rows|zeile|point|points|scan|messwert|count|counter|record"
+    r"|kanal(name)?|channel(name)?|name)?(no|nr|num|number|nummer|index|id)?"
+)
+UNIT_WORDS = frozenset(
+    {"y_unit_label", "unit", "units", "einheit", "einheiten", "dimension", "unité", "unidad", "unità"}
+)
 _VOLTS = {"V": 1.0, "mV": 1e-3, "uV": 1e-6}
 
 
@@ -83,6 +99,11 @@ def time_unit_in(name: str) -> str | None:
     return unit if base in TIME_NAMES and found is not None and found.quantity == "time" else None
 
 
+def is_counter_name(name: str) -> bool:
+    """Whether a column of this name may count its rows: "Sample", "Index", "No."."""
+    return _COUNTER.fullmatch("".join(each for each in name.lower() if each.isalpha())) is not None
+
+
 def parse_sensitivity(text: str) -> tuple[float, str] | None:
     """What a sensor gives a unit of motion, from "100 mV/g" or "10.2 mV/(m/s²)"; None when it is no such text.
 
@@ -126,11 +147,12 @@ def split_label(label: str) -> tuple[str, str | None]:
     Returns
     -------
     tuple of str and (str or None)
-        The unit as written (known or not); None when the label has none.
+        The unit as written, known or not; None when the label has none. Words in round brackets that are no known
+        unit, ``Untitled (Filtered)``, are part of the name.
     """
     label = " ".join(label.split())
     bracketed = re.fullmatch(r"(?P<name>.*?)\s*/?\s*(\[(?P<square>[^\[\]]*)\]|\((?P<round>[^()]*)\))", label)
-    if bracketed:
+    if bracketed and (bracketed["square"] is not None or _may_be_unit(bracketed["round"])):
         unit = bracketed["square"] if bracketed["square"] is not None else bracketed["round"]
         return bracketed["name"].strip(), unit.strip() or None
     # A slash is also part of units: take the first one that leaves a whole unit behind it.
@@ -139,6 +161,13 @@ def split_label(label: str) -> tuple[str, str | None]:
         if name and parse_unit(unit) is not None:
             return name, unit
     return label, None
+
+
+def _may_be_unit(text: str) -> bool:
+    """Whether what stands in round brackets may be a unit: it begins with a known one, or is no word."""
+    first = next(iter(text.split()), "")
+    known = first.lower() in _OTHER_UNITS or is_voltage(first) or parse_unit(first) is not None
+    return known or not first.isalpha() or (len(first) <= 3 and not first.isascii())
 
 
 def _plain(text: str) -> str:

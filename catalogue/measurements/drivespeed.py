@@ -47,6 +47,8 @@ COMB_CONTRAST_DB = 12.0
 #: Contrast [dB] below which, and deviation from the nominal speed above which, a speed that was found is warned of.
 WEAK_CONTRAST_DB = 20.0
 FAR_FROM_NOMINAL = 0.05
+#: What to do where no speed is found.
+OTHER_MACHINE = "give the speed, unless this is a recording of another machine or of one at rest"
 #: A drive that turns so many times slower than was found, at most, is looked for.
 MOST_SLOWER = 8
 
@@ -145,7 +147,7 @@ def track_speed(signal: npt.ArrayLike, sample_rate: float, nominal: float, sourc
         raise MeasurementError(source, rule=rule)
     if sample_rate < 8.0 * turn:
         rule = f"{sample_rate / turn:.2g} samples a revolution are too few to find the drive speed: give the speed"
-        raise MeasurementError(source, rule=rule)
+        raise MeasurementError(source, rule=rule, field="speed")
     kept, rate = thin(values, sample_rate, turn)
     blocks = np.array_split(kept, math.ceil(revolutions / BLOCK_REVOLUTIONS))
     tracks = []
@@ -153,8 +155,8 @@ def track_speed(signal: npt.ArrayLike, sample_rate: float, nominal: float, sourc
         coarse, contrast = comb_speed(block, rate, turn)
         if contrast < COMB_CONTRAST_DB:
             low, high = (60.0 * turn * (1.0 + side * SEARCH_RANGE) for side in (-1, 1))
-            rule = f"no orders of a drive speed between {low:.4g} and {high:.4g} rpm stand out: give the speed"
-            raise MeasurementError(source, rule=rule)
+            rule = f"no orders of a drive speed between {low:.4g} and {high:.4g} rpm stand out: {OTHER_MACHINE}"
+            raise MeasurementError(source, rule=rule, field="speed")
         tracks.append(_track(block, rate, coarse, contrast))
     return _join(tracks, [len(block) / rate for block in blocks])
 

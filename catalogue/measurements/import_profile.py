@@ -141,7 +141,13 @@ class ImportProfile(_ProfilePart):
     def table(self) -> dict[str, Any]:
         """What the reader of text needs to know."""
         delimiter = {"tab": "\t", "blank": " "}.get(self.delimiter or "", self.delimiter)
-        return {"delimiter": delimiter, "decimal": self.decimal, "skipped": self.skip_lines, "names": self.channels}
+        return {
+            "delimiter": delimiter,
+            "decimal": self.decimal,
+            "skipped": self.skip_lines,
+            "names": self.channels,
+            "ignored": self.ignore,
+        }
 
     def apply(self, raw: RawRecording) -> RawRecording:
         """Return what a reader found with what the profile says of it.
@@ -177,12 +183,16 @@ class ImportProfile(_ProfilePart):
                 rule = "is to be the tacho, but the file holds a spectrum"
                 raise MeasurementError(raw.source, None, self.tacho.column, rule=rule, field="tacho")
             pulsing = raw.values[:, names.index(self.tacho.column)]
+            if np.isnan(pulsing).any():
+                rule = f"is to be the tacho, but has no number in {np.isnan(pulsing).sum()} of its cells"
+                raise MeasurementError(raw.source, None, self.tacho.column, rule=rule, field="tacho")
             each, falling = self.tacho.pulses_per_revolution, self.tacho.edge == "falling"
             turns = turns_of(pulsing, each, self.tacho.threshold, falling, raw.source, self.tacho.column)
             told.append(f"tacho {self.tacho.column!r}: {len(turns) - 1} revolutions, {each} pulses each")
         columns, kept, factors = [], [], []
         for index, column in enumerate(raw.columns):
-            if column.name in self.ignore or (self.tacho is not None and column.name == self.tacho.column):
+            is_tacho = self.tacho is not None and column.name == self.tacho.column
+            if column.is_text or column.name in self.ignore or is_tacho:
                 continue
             name = "time" if column.name == self.time_column else self.sensors.get(column.name, column.name)
             unit = find_unit(column, self.units)
@@ -193,7 +203,7 @@ class ImportProfile(_ProfilePart):
             columns.append(RawColumn(column.label, name, unit, column.position))
             kept.append(index)
         if not kept:
-            raise MeasurementError(raw.source, rule="the profile ignores all columns", field="profile")
+            raise MeasurementError(raw.source, rule="no column is left: all are ignored or text", field="profile")
         if ALL_OTHERS in self.sensitivity and not any(is_voltage(find_unit(each, self.units)) for each in raw.columns):
             rule = "is said of columns in volts, but no column is in V, mV or uV"
             raise MeasurementError(raw.source, None, "sensitivity", rule=rule, field="sensitivity")

@@ -7,7 +7,14 @@ from collections.abc import Mapping
 import numpy as np
 
 from jointplay.catalogue.errors import MeasurementError
-from jointplay.catalogue.measurements.channel_units import ChannelUnit, is_voltage, parse_unit, time_unit_in
+from jointplay.catalogue.measurements.channel_units import (
+    ChannelUnit,
+    is_counter_name,
+    is_voltage,
+    parse_unit,
+    time_unit_in,
+)
+from jointplay.catalogue.measurements.missing_cells import refuse_missing
 from jointplay.catalogue.measurements.readers.raw import RawColumn, RawRecording
 
 #: Seconds since 1970 of 2001 to 2096: a time column that begins there is not one of seconds since a start.
@@ -50,6 +57,10 @@ def understood_columns(raw: RawRecording, given: Mapping[str, str]) -> list[Chan
     if is_spectrum(raw, given):
         rule = "the file holds a spectrum, not a recording over time"
         raise MeasurementError(raw.source, None, raw.columns[0].label, rule=rule)
+    for index, column in enumerate(raw.columns):
+        unit = parse_unit(find_unit(column, given) or "")
+        if time_unit_in(column.name) is not None or (unit is not None and unit.quantity == "time"):
+            refuse_missing(raw, index, "take the row out, or leave out the column by ignore in a profile")
     understood = [_unit_of(column, given, raw, index) for index, column in enumerate(raw.columns)]
     if not any(unit is not None and unit.quantity != "time" for unit in understood):
         column = raw.columns[-1]
@@ -85,8 +96,11 @@ def _unit_of(column: RawColumn, given: Mapping[str, str], raw: RawRecording, ind
     text, source, own = find_unit(column, given), raw.source, time_unit_in(column.name)
     if text is None and own is not None:
         text = own or _time_unit(raw, index)
+    if own is None and is_counter(raw, index, given):
+        return None
     if text is None:
-        rule = f"has no unit: write it in the header, as in '{column.name} [m/s2]', or give it: {column.name}=g"
+        rule = f"has no unit: write it in the header, as in '{column.name} [m/s2]', or give it: {column.name}=g;"
+        rule += " if it is no signal, leave it out by ignore in a profile"
         raise MeasurementError(source, None, column.name, rule=rule, field="units")
     unit = parse_unit(text)
     if own is None and text != column.unit and unit is None:
@@ -95,6 +109,14 @@ def _unit_of(column: RawColumn, given: Mapping[str, str], raw: RawRecording, ind
     if own is not None and (unit is None or unit.quantity != "time"):
         raise MeasurementError(source, None, column.name, text, "is not a unit of time", field="units")
     return None if unit is not None and unit.quantity == "frequency" else unit
+
+
+def is_counter(raw: RawRecording, index: int, given: Mapping[str, str]) -> bool:
+    """Whether a column counts the rows: it is called so, nobody names its unit, and it goes up by one."""
+    column = raw.columns[index]
+    if column.unit is not None or column.name in given or not is_counter_name(column.name):
+        return False
+    return bool(np.all(np.diff(raw.values[:, index]) == 1.0))
 
 
 def _time_unit(raw: RawRecording, index: int) -> str:

@@ -20,6 +20,7 @@ from jointplay.catalogue.measurements.channel_units import parse_unit
 from jointplay.catalogue.measurements.import_profile import WINDOWS, ImportProfile, profile_beside
 from jointplay.catalogue.measurements.measured_columns import check_given, find_unit, is_spectrum
 from jointplay.catalogue.measurements.measurement import SI_UNITS, Channel, Recording, measurement_of, raw_of
+from jointplay.catalogue.measurements.missing_cells import refuse_missing
 from jointplay.catalogue.measurements.readers import Limits, RawColumn, RawRecording, SpectrumForm
 from jointplay.catalogue.measurements.readers.raw import LARGEST
 from jointplay.solver.arrays import FloatArray
@@ -105,6 +106,8 @@ def spectrum_of(raw: RawRecording, units: Mapping[str, str], limits: Limits, sha
     """
     if len(raw.values) < limits.min_samples:
         raise MeasurementError(raw.source, rule=f"{len(raw.values)} lines; at least {limits.min_samples} are needed")
+    for index in range(len(raw.columns)):
+        refuse_missing(raw, index, "lines of a spectrum are not filled: leave out the column by ignore in a profile")
     frequency = _frequencies(raw, units)
     step = float(frequency[1] - frequency[0])
     facts, warnings = list(raw.facts), list(raw.warnings)

@@ -16,7 +16,8 @@ import numpy.typing as npt
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.channel_units import ChannelUnit
 from jointplay.catalogue.measurements.import_profile import ImportProfile, profile_beside
-from jointplay.catalogue.measurements.measured_columns import EPOCH_FROM, EPOCH_TO, understood_columns
+from jointplay.catalogue.measurements.measured_columns import EPOCH_FROM, EPOCH_TO, is_counter, understood_columns
+from jointplay.catalogue.measurements.missing_cells import fill_cells
 from jointplay.catalogue.measurements.moments import place_moment, spell
 from jointplay.catalogue.measurements.readers import Limits, RawColumn, RawRecording, read_raw
 from jointplay.catalogue.measurements.time_base import TimeBase, TimeColumn, even_time_base
@@ -243,8 +244,9 @@ def measurement_of(
         As :func:`read_measurement`.
     """
     limits = limits or Limits()
-    if not np.all(np.isfinite(raw.values)):
-        row, column = np.argwhere(~np.isfinite(raw.values))[0]
+    finite = np.isfinite(raw.values) | (raw.absent & np.isnan(raw.values))
+    if not np.all(finite):
+        row, column = np.argwhere(~finite)[0]
         where, value = raw.line_of(int(row)), raw.values[row, column]
         raise MeasurementError(raw.source, where, raw.columns[column].name, value, "is not finite")
     if len(raw.values) < limits.min_samples:
@@ -255,6 +257,13 @@ def measurement_of(
         raise MeasurementError(raw.source, None, "full_scale", rule=rule, field="full_scale")
     understood = understood_columns(raw, dict(units or {}))
     facts = list(raw.facts)
+    motions = [index for index, unit in enumerate(understood) if unit is not None and unit.quantity != "time"]
+    filled = {index: fill_cells(raw.values[:, index], raw.source, raw.columns[index].name) for index in motions}
+    if raw.absent:
+        values = raw.values.copy()
+        for index, each in filled.items():
+            values[:, index] = each.signal
+        raw = replace(raw, values=values)
     base = _time_base(raw, understood, sample_rate)
     facts += base.facts
     measured_at = raw.measured_at or _epoch_of(raw, understood, facts)
@@ -263,7 +272,9 @@ def measurement_of(
     flaws: list[ChannelFlaw] = []
     for index, (column, unit) in enumerate(zip(raw.columns, understood, strict=True)):
         label = f"{column.position} {column.label!r}"
-        if unit is None:
+        if unit is None and is_counter(raw, index, units or {}):
+            facts.append(f"{label}: counts the rows, no signal: left out")
+        elif unit is None:
             facts.append(f"{label}: left out")
             warnings.append(
                 f"column {column.label!r} left out: its unit is not one of displacement, velocity or acceleration"
@@ -275,8 +286,10 @@ def measurement_of(
             signal = raw.values[:, index] * unit.factor
             found = inspect_waveform(signal, raw.source, column.name, SI_UNITS[quantity], base.sample_rate)
             facts.append(f"{label}: {quantity} in {unit.text} = {unit.factor:g} {SI_UNITS[quantity]}; {found.fact}")
-            warnings += found.warnings
+            facts += filled[index].warnings
+            warnings += [*filled[index].warnings, *found.warnings]
             flaws += found.flaws
+            flaws += [ChannelFlaw(column.name, "dropout", *gap) for gap in filled[index].dropouts]
             channels.append(Channel(column.name, unit.text, quantity))
             signals.append(signal)
     table = base.even(np.column_stack(signals))

@@ -224,16 +224,18 @@ def even_samples(places: FloatArray, signal: FloatArray) -> FloatArray:
     return even
 
 
-def spoiled_by(places: FloatArray, signal: FloatArray) -> FloatArray:
+def spoiled_by(places: FloatArray, signal: FloatArray, by: int | None = None) -> FloatArray:
     """Share of the rms (c,) of each channel that even samples have wrong.
 
-    As of another recording by the same sensors: this one, moved by half its length, is sampled at the same places.
+    As of another recording by the same sensors: this one, moved by half its length, or by so many samples, is sampled
+    at the same places.
     """
     even = even_samples(places, signal)
     whole = np.arange(len(even), dtype=np.float64)
-    moved = np.roll(even, len(even) // 2, axis=0)
+    by = len(even) // 2 if by is None else by
+    moved = np.roll(even, by, axis=0)
     again = even_samples(places, make_interp_spline(whole, moved, k=_DEGREE)(np.minimum(places, whole[-1])))
-    kept: BoolArray = np.abs(whole - len(even) // 2) > _MARGIN / 2
+    kept: BoolArray = np.abs(whole - by) > _MARGIN / 2
     for first, last in [(0, _MARGIN // 2), *gaps_of(places), (len(even) - _MARGIN // 2, len(even))]:
         kept[max(0, first - 2) : last + 2] = False
     if not kept.any():

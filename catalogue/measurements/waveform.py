@@ -68,7 +68,8 @@ def inspect_waveform(signal: FloatArray, source: str, channel: str, unit: str, s
     """
     low, high = float(signal.min()), float(signal.max())
     if low == high:
-        raise MeasurementError(source, None, channel, low, "the channel never changes")
+        rule = f"the channel never changes: if it is no sensor, leave it out by ignore: [{channel}] in a profile"
+        raise MeasurementError(source, None, channel, low, rule, field="profile")
     mean = float(signal.mean())
     rms = float(np.sqrt(np.mean((signal - mean) ** 2)))
     warnings, flaws = [], []

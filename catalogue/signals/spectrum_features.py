@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from jointplay.catalogue.errors import MeasurementError
-from jointplay.catalogue.measurements.drivespeed import COMB_CONTRAST_DB, SEARCH_RANGE, SpeedEstimate
+from jointplay.catalogue.measurements.drivespeed import COMB_CONTRAST_DB, OTHER_MACHINE, SEARCH_RANGE, SpeedEstimate
 from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum
 from jointplay.catalogue.plans.driving import nominal_drive_speed
 from jointplay.catalogue.signals.feature_bands import usable_cuts
@@ -156,8 +156,8 @@ def _speed(density: FloatArray, frequency: FloatArray, step: float, turn: float,
     decibels = float(coarse[best]) * 10.0 / math.log(10.0)
     if decibels < 0.5 * COMB_CONTRAST_DB or best in (0, len(candidates) - 1):
         low, high = (60.0 * turn * (1.0 + side * SEARCH_RANGE) for side in (-1, 1))
-        rule = f"no drive speed between {low:.4g} and {high:.4g} rpm stands out of the spectrum: give the speed"
-        raise MeasurementError(source, rule=rule)
+        rule = f"no drive speed between {low:.4g} and {high:.4g} rpm stands out of the spectrum: {OTHER_MACHINE}"
+        raise MeasurementError(source, rule=rule, field="speed")
     reach = step / COMB[0]
     near = candidates[best] + np.linspace(-reach, reach, 161)
     fine = contrast(near, COMB[1])

@@ -67,6 +67,6 @@ def spoiled(recording: bytes, kind: str) -> bytes:
     if kind == "spectrum":
         return "\n".join(["frequency [Hz],s1-x [m/s2]", *(f"{k},{0.001 * k}" for k in range(1, 2000))]).encode()
     fields = lines[300].split(",")
-    fields[2] = {"no number": "abc", "nan": "nan"}[kind]
+    fields[2] = {"no number": "abc", "infinite": "inf"}[kind]
     lines[300] = ",".join(fields)
     return "\n".join(lines).encode()

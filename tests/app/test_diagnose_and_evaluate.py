@@ -136,7 +136,7 @@ def sensors_of(name: str) -> list[dict[str, str]]:
 
 @pytest.mark.parametrize(
     ("kind", "text"),
-    [("no number", "line 301"), ("nan", "line 301"), ("short", "samples"), ("missing", "cannot be read")],
+    [("no number", "line 301"), ("infinite", "line 301"), ("short", "samples"), ("missing", "cannot be read")],
 )
 def test_diagnose_refuses_bad_recordings(kind: str, text: str, shelf: Path, worn: bytes, tmp_path: Path) -> None:
     path = tmp_path / "bad.csv"
@@ -149,7 +149,7 @@ def test_many_files_have_a_table_of_answers(
     shelf: Path, recording: Path, in_order: bytes, worn: bytes, tmp_path: Path
 ) -> None:
     (tmp_path / "new.csv").write_bytes(in_order)
-    (tmp_path / "bad.csv").write_bytes(spoiled(worn, "nan"))
+    (tmp_path / "bad.csv").write_bytes(spoiled(worn, "infinite"))
     files = (recording, tmp_path / "bad.csv", tmp_path / "new.csv", tmp_path / "none.csv")
     asked = ("diagnose", *files, "--catalogue", shelf / "slider-crank", "--effort", "fast")
     moments = [f"--measured-at=2026-11-2{day}T10:00:00Z" for day in range(4)]
@@ -165,7 +165,7 @@ def test_many_files_have_a_table_of_answers(
     assert "line 301" in rows[1]["refusal"]
     assert "cannot be read" in rows[3]["refusal"]
     assert [row["sha256"] for row in rows] == [hashlib.sha256(each).hexdigest() for each in (
-        worn, spoiled(worn, "nan"), in_order)] + [""]  # fmt: skip
+        worn, spoiled(worn, "infinite"), in_order)] + [""]  # fmt: skip
     assert rows[2]["measured_at"] == "2026-11-22T10:00:00+00:00"
     alone = json.loads(invoke("diagnose", recording, *asked[5:], "--json").stdout)
     assert float(rows[0]["drive_speed_rpm"]) == alone["drive_speed_rpm"]

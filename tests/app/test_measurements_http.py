@@ -36,7 +36,7 @@ def test_a_measurement_is_stored_by_content(client: httpx.Client, measurement: d
 
 @pytest.mark.parametrize(
     ("kind", "text"),
-    [("no number", "line 301"), ("nan", "line 301"), ("short", "samples"), ("spectrum", "give its scaling: psd")],
+    [("no number", "line 301"), ("infinite", "line 301"), ("short", "samples"), ("spectrum", "give its scaling: psd")],
 )
 def test_unreadable_recordings(client: httpx.Client, worn: bytes, kind: str, text: str) -> None:
     document = assert_problem(send(client, spoiled(worn, kind), "bad.csv"), 422, text, "measurement")
@@ -49,7 +49,7 @@ def test_a_refused_recording_leaves_no_file(client: httpx.Client, worn: bytes, s
 
     send(client, worn, "worn.csv")
     before = stored()
-    assert_problem(send(client, spoiled(worn, "nan"), "bad.csv"), 422)
+    assert_problem(send(client, spoiled(worn, "infinite"), "bad.csv"), 422)
     assert stored() == before
 
 

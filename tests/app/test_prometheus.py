@@ -57,7 +57,7 @@ def test_what_happens_is_counted(client: httpx.Client, worn: bytes) -> None:
     before = asked(client)
     question = {"catalogue": "slider-crank", "effort": "fast"}
     result = client.post(f"{API}/diagnoses", files={"file": ("w.csv", worn)}, data=question).json()
-    refused = client.post(f"{API}/measurements", files={"file": ("w.csv", spoiled(worn, "nan"))})
+    refused = client.post(f"{API}/measurements", files={"file": ("w.csv", spoiled(worn, "infinite"))})
     assert refused.status_code == 422
     client.get(f"{API}/machines/slider-crank")
     client.get(f"{API}/machines/no-such-machine")

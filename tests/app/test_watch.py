@@ -100,7 +100,7 @@ def test_each_recording_is_diagnosed_once_and_kept_with_its_asset(
 ) -> None:
     client.put("/api/v1/assets/watched-1", json={"machine": "slider-crank"}).raise_for_status()
     (folder / "monday.csv").write_bytes(worn)
-    (folder / "bad.csv").write_bytes(spoiled(worn, "nan"))
+    (folder / "bad.csv").write_bytes(spoiled(worn, "infinite"))
     (folder / ".hidden.csv").write_bytes(worn)
     (folder / "tuesday.csv.part").write_bytes(worn[:1000])
     asked = ("watch", folder, "--server", server, "--quiet", "0.02 s", "--once", "--catalogue", "slider-crank")

@@ -279,10 +279,10 @@ def edited(line: int, new: str) -> bytes:
     ("data", "expected"),
     [
         (edited(120, "0.118,abc,1"), "r.csv: line 120: column 's1-x': 'abc': is not a number"),
-        (edited(120, "0.118,1,"), "r.csv: line 120: 2 fields, expected 3"),
-        (edited(120, "0.118,,1"), "r.csv: line 120: column 's1-x': is empty"),
+        (edited(120, "0.118,1"), "r.csv: line 120: 2 fields, expected 3"),
+        (edited(120, ",1,1"), "r.csv: line 120: column 'time': has no number: take the row out"),
         (edited(120, "0.118,1,2,3"), "r.csv: line 120: 4 fields, expected 3"),
-        (edited(120, "0.118,nan,1"), "r.csv: line 120: column 's1-x': 'nan': is not finite"),
+        (edited(120, "nan,1,1"), "r.csv: line 120: column 'time': has no number: take the row out"),
         (edited(120, "0.118,1,-Inf"), "r.csv: line 120: column 's1-y': '-Inf': is not finite"),
         (edited(120, "0.118,1e999,1"), "r.csv: line 120: column 's1-x': '1e999': is not finite"),
         (edited(120, "0.118,1_0,1"), "r.csv: line 120: column 's1-x': '1_0': is not a number"),
@@ -356,7 +356,7 @@ def test_limits_hold() -> None:
 def test_files_that_cannot_be_opened_or_are_of_another_kind(tmp_path: Path) -> None:
     with pytest.raises(MeasurementError, match=r"missing\.csv: cannot be read: No such file"):
         read_measurement(tmp_path / "missing.csv")
-    assert "kind of file .xyz is not read; known: .58b, .arrow, .csv" in refusal(text(), "r.xyz")
+    assert "kind of file .xyz is not read; known: .58b, .arrow, .asc, .csv" in refusal(text(), "r.xyz")
     assert "is an MDF file, which is not read: export it as CSV, TDMS or MAT" in refusal(b"MDF     4.10", "r.mf4")
     assert "export it as CSV" in refusal(text(), "r.MF4.gz") and "export it as CSV" in refusal(b"UnFinMF 4.11", "r.dat")
     assert "without suffix" in refusal(text(), "r")

@@ -6,18 +6,15 @@ parser; only when that fails is the file read again line by line, to name what i
 
 from __future__ import annotations
 
-import io
 import itertools
 import re
-from array import array
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from jointplay.catalogue.errors import MeasurementError
-from jointplay.catalogue.measurements.channel_units import parse_unit, split_label
-from jointplay.catalogue.measurements.readers.decimal_table import plain_table
+from jointplay.catalogue.measurements.channel_units import UNIT_WORDS, parse_unit, split_label, time_unit_in
 from jointplay.catalogue.measurements.readers.dialect import (
     Dialect,
     TableLayout,
@@ -29,8 +26,8 @@ from jointplay.catalogue.measurements.readers.dialect import (
 )
 from jointplay.catalogue.measurements.readers.moments import RawMoment, find_in_lines
 from jointplay.catalogue.measurements.readers.raw import Limits, RawColumn, RawRecording
+from jointplay.catalogue.measurements.readers.rows import cell_rule, read_rows, without_footer
 from jointplay.catalogue.measurements.readers.stamps import replace_stamps
-from jointplay.solver.arrays import FloatArray
 
 #: What `jointplay simulate` calls a sensor.
 SENSOR = "sensor_"
@@ -56,6 +53,7 @@ def read_csv(
     decimal: str | None = None,
     skipped: int = 0,
     names: Sequence[str] | None = None,
+    ignored: Collection[str] = (),
 ) -> RawRecording:
     """Read a table of numbers.
 
@@ -72,6 +70,8 @@ def read_csv(
         First lines that are not looked at.
     names : sequence of str, optional
         Of all columns: the file needs no header then.
+    ignored : collection of str
+        Names of columns that may hold whatever they like.
 
     Returns
     -------
@@ -80,7 +80,8 @@ def read_csv(
     Raises
     ------
     MeasurementError
-        Naming file, line and column: no table, no header, a cell that is not a finite number, rows of different length.
+        Naming file, line and column: no table, no header, a cell that is no finite number and does not say that it has
+        none, rows of different length.
     """
     text, encoding = _decode(data, source)
     if "\r" in text:
@@ -90,7 +91,7 @@ def read_csv(
     if stamps is not None:
         text = stamps.text
         head = _head(text)
-    layout = find_layout(head, dialects_of(delimiter, decimal), skipped)
+    layout = find_layout(head, dialects_of(delimiter, decimal), skipped, lambda label: split_label(label)[0] in ignored)
     if layout is None:
         raise _no_table(head, source)
     if layout.columns > limits.columns:
@@ -112,18 +113,32 @@ def read_csv(
     rate, rate_facts, used = _read_rate(looked_at[: layout.first], layout.dialect, source)
     facts += rate_facts
     above = [(number, line) for number, line in enumerate(looked_at[: layout.first]) if number not in header]
-    moment, dated = find_in_lines(above)
+    # A time of day goes with a date above the table.
+    clock = [] if stamps is None or stamps.dated else [(layout.first, f"time: {stamps.first}")]
+    moment, dated = find_in_lines([*above, *clock])
     if stamps is not None:
         place = len(layout.dialect.split(f"{stamps.before}0")) - 1
         columns = (*columns[:place], replace(columns[place], unit="s"), *columns[place + 1 :])
-        moment = moment or RawMoment(stamps.first, columns[place].position)
-        facts.append(f"{columns[place].position} {columns[place].label!r}: dates and times; seconds since the first")
+        moment = moment or (RawMoment(stamps.first, columns[place].position) if stamps.dated else None)
+        said = "dates and times" if stamps.dated else "times of day"
+        facts.append(f"{columns[place].position} {columns[place].label!r}: {said}; seconds since the first")
+    columns = tuple(replace(column, is_text=place in layout.texts) for place, column in enumerate(columns))
+    texts = [column for column in columns if column.is_text]
+    if all(column.is_text for column in columns if time_unit_in(column.name) is not None):
+        for column in texts:
+            if time_unit_in(column.name) is not None and column.name not in ignored:
+                rule = "is no time that is known, such as 14:05:06.0002: leave it out by ignore in a profile"
+                shown = layout.dialect.split(head[layout.first])[columns.index(column)]
+                raise MeasurementError(source, layout.first + 1, column.name, shown, rule, field="profile")
+    facts += [f"{column.position} {column.label!r}: text, no signal: left out" for column in texts]
     facts += [
         f"line {number + 1}: {' '.join(line.split())[:80]!r}: not used"
         for number, line in above
         if line.strip() and number not in used | dated
     ]
-    values, lines = _numbers(text, head, layout, columns, source)
+    text, after = without_footer(text, layout)
+    facts += after
+    values, lines = read_rows(text, head, layout, columns, ignored, source)
     names_there = {column.name for column in columns}
     if "frame_acceleration_x" in names_there and any(name.startswith(SENSOR) for name in names_there):
         facts.append("what was simulated: its sensors are taken")
@@ -131,7 +146,12 @@ def read_csv(
         columns = tuple(replace(columns[index], name=columns[index].name.removeprefix(SENSOR)) for index in ours)
         values = values[:, ours]
 
-    return RawRecording(source, columns, values, rate, tuple(facts), lines, moment=moment)
+    # What should be a signal and holds text is no remark.
+    warnings = [f"column {column.label!r} left out: it holds text, no numbers" for column in texts if column.unit]
+    absent = bool(np.isnan(values).any())
+    return RawRecording(
+        source, columns, values, rate, tuple(facts), lines, warnings=tuple(warnings), moment=moment, absent=absent
+    )
 
 
 def _head(text: str) -> list[str]:
@@ -198,19 +218,26 @@ def _columns(head: Sequence[str], layout: TableLayout, source: str) -> tuple[tup
             above = _line_above(head, above)
         names = [] if above is None else header_fields(head[above], layout)
         name = split_label(names[position])[0] if len(names) == len(labels) else str(position + 1)
-        raise MeasurementError(source, index + 1, name, labels[position] or None, _cell_rule(labels[position], dialect))
+        raise MeasurementError(source, index + 1, name, labels[position] or None, cell_rule(labels[position], dialect))
     used = {index}
-    if all(parse_unit(label) is not None for label in labels):
+    named = labels[0].strip(":").lower() in UNIT_WORDS and len(labels) > 1
+    if all(parse_unit(label) is not None for label in labels[named:]):
         # A line of units below a line of names.
         above = _line_above(head, index)
         names = header_fields(head[above], layout) if above is not None else []
         if above is None or len(names) != len(labels):
             raise MeasurementError(source, index + 1, rule="a line of units without a line of names above it")
         used.add(above)
-        pairs: list[tuple[str, str | None]] = list(zip(names, labels, strict=True))
-        labels = [f"{name} [{unit}]" for name, unit in zip(names, labels, strict=True)]
+        # The line of units may be called so, in a column that has none.
+        pairs: list[tuple[str, str | None]] = [(names[0], None)] if named else []
+        pairs += zip(names[named:], labels[named:], strict=True)
+        labels = [name if unit is None else f"{name} [{unit}]" for name, unit in pairs]
     else:
         pairs = [split_label(label) for label in labels]
+        of_units, units = _units_above(head, index, layout)
+        if of_units is not None:
+            used.add(of_units)
+            pairs[1:] = [(name, own or unit) for (name, own), unit in zip(pairs[1:], units, strict=True)]
     columns = tuple(
         RawColumn(label, name, unit, f"column {number}")
         for number, (label, (name, unit)) in enumerate(zip(labels, pairs, strict=True), start=1)
@@ -220,6 +247,15 @@ def _columns(head: Sequence[str], layout: TableLayout, source: str) -> tuple[tup
         if len(same) > 1:
             raise MeasurementError(source, index + 1, column, rule=f"name stands over {len(same)} columns")
     return columns, used
+
+
+def _units_above(head: Sequence[str], index: int, layout: TableLayout) -> tuple[int | None, list[str]]:
+    """Line of units somewhere above the names, called so in its first field, and those of all columns but the first."""
+    for number in range(index - 1, -1, -1):
+        name, *units = layout.dialect.split(head[number])
+        if name.strip(":").lower() in UNIT_WORDS and len(units) == layout.columns - 1 and all(map(parse_unit, units)):
+            return number, units
+    return None, []
 
 
 def _surplus(header: str, layout: TableLayout) -> list[str]:
@@ -260,65 +296,3 @@ def _read_number(text: str, dialect: Dialect) -> float | None:
     """Number of a header line, where 10,000 and 10.000 may be ten thousand or ten: the table's decimal sign decides."""
     thousands = "." if dialect.decimal == "," else ","
     return Dialect(";", ".").number(re.sub(rf"{re.escape(thousands)}(?=\d{{3}}(\D|$))", "", text).replace(",", "."))
-
-
-def _numbers(
-    text: str, head: Sequence[str], layout: TableLayout, columns: Sequence[RawColumn], source: str
-) -> tuple[FloatArray, range | FloatArray]:
-    """Numbers of a table, and the lines that they stand in."""
-    body = text[sum(len(line) for line in head[: layout.first]) :]
-    delimiter = None if layout.dialect.delimiter == " " else layout.dialect.delimiter
-    if layout.surplus and delimiter is not None:
-        body = re.sub(rf"{re.escape(delimiter)}+ *$", "", body, flags=re.MULTILINE)
-    plain = body.replace(",", ".") if layout.dialect.decimal == "," else body
-    quick = None if delimiter is None or len(delimiter) > 1 else plain_table(plain, delimiter, layout.columns)
-    if quick is not None:
-        return quick, range(layout.first + 1, layout.first + 1 + len(quick))
-    try:
-        # Of a text itself, numpy would read a copy of four bytes a character.
-        lines = io.TextIOWrapper(io.BytesIO(plain.encode()), encoding="utf-8")
-        values = np.loadtxt(lines, delimiter=delimiter, comments="#", dtype=np.float64, ndmin=2)
-    except ValueError:
-        values = None
-    if values is None or values.shape[1] != layout.columns or not np.all(np.isfinite(values)):
-        values = _numbers_line_by_line(text, layout, columns, source)
-    return values, np.array([number for number, _line in _rows(text, layout)], np.float64)
-
-
-def _numbers_line_by_line(text: str, layout: TableLayout, columns: Sequence[RawColumn], source: str) -> FloatArray:
-    numbers = array("d")
-    for number, line in _rows(text, layout):
-        fields = _fields(line, layout.dialect)
-        if len(fields) != layout.columns:
-            raise MeasurementError(source, number, rule=f"{len(fields)} fields, expected {layout.columns}")
-        row = [layout.dialect.number(field) for field in fields]
-        for value, field, column in zip(row, fields, columns, strict=True):
-            if value is None or not np.isfinite(value):
-                raise MeasurementError(source, number, column.name, field or None, _cell_rule(field, layout.dialect))
-        numbers.extend(value for value in row if value is not None)
-    return np.frombuffer(numbers, np.float64).reshape(-1, layout.columns)
-
-
-def _cell_rule(field: str, dialect: Dialect) -> str:
-    if not field:
-        return "is empty"
-    return "is not finite" if dialect.is_cell(field) else "is not a number"
-
-
-def _rows(text: str, layout: TableLayout) -> Iterator[tuple[int, str]]:
-    for number, line in enumerate(_lines(text), start=1):
-        if number > layout.first and line.strip() and not line.lstrip().startswith("#"):
-            yield number, line
-
-
-def _lines(text: str) -> Iterator[str]:
-    """Lines of a text one after the other, without a copy of it."""
-    begin = 0
-    while begin < len(text):
-        end = text.find("\n", begin) + 1 or len(text)
-        yield text[begin:end]
-        begin = end
-
-
-def _fields(line: str, dialect: Dialect) -> list[str]:
-    return dialect.split(line.split("#", 1)[0].strip("\r\n"))

@@ -5,16 +5,23 @@ from __future__ import annotations
 import contextlib
 import csv
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 #: Not numbers to compute with, but a cell of a table of numbers all the same.
 _NOT_FINITE = re.compile(r"[+-]?(nan|inf|infinity|1\.#\w+)", re.IGNORECASE)
+#: Of a cell that a program had no number for, or none in its range; not of a damaged one.
+MISSING = (
+    r"-?nan|#?n/?a|#n/?v|#(num|div/0|value)!|null|none|-{1,3}|\?|invalid|missing|1\.#(ind|qnan|snan)"
+    r"|[+-]?(over ?(flow|load|range|run)?|under ?(flow|range)|ovr|ovl|ol)"
+)
+_MISSING = re.compile(MISSING, re.IGNORECASE)
 _NAMES = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "blanks"}
 
-#: Lines that must read as numbers, one after the other, before a table is believed to begin.
-_CONVINCING = 3
+#: Lines that must read as numbers, one after the other, before a table is believed to begin; and where some of their
+#: columns hold text.
+_CONVINCING, _CONVINCING_WITH_TEXT = 3, 10
 
 
 @dataclass(frozen=True)
@@ -45,6 +52,13 @@ class Dialect:
             fields.pop()
         return fields
 
+    def split_row(self, line: str, columns: int) -> list[str]:
+        """Fields of a row; the last ones are empty where the line has delimiters for them."""
+        fields = self.split(line)
+        if len(fields) < columns and self.delimiter != " ":
+            fields += [""] * (min(line.count(self.delimiter) + 1, columns) - len(fields))
+        return fields
+
     def rules_out(self, line: str) -> bool:
         """Whether a line is surely no row of numbers, at a glance: most lines are none in most dialects.
 
@@ -64,6 +78,11 @@ class Dialect:
         """Whether a field may stand in a table of numbers: a number, or a NaN or infinity (refused later by name)."""
         return self.number(field) is not None or _NOT_FINITE.fullmatch(field) is not None
 
+    @staticmethod
+    def is_missing(field: str) -> bool:
+        """Whether a field of a row has no number, and says so: it is empty, "NaN" or "Overflow"."""
+        return not field or _MISSING.fullmatch(field) is not None
+
 
 DIALECTS = tuple(Dialect(delimiter, decimal) for delimiter in ";\t|, " for decimal in ".," if delimiter != decimal)
 
@@ -81,12 +100,15 @@ class TableLayout:
         Fields a line.
     surplus : int
         Empty fields at the end of the first line.
+    texts : frozenset of int
+        Places of the fields, from 0, that are no numbers.
     """
 
     dialect: Dialect
     first: int
     columns: int
     surplus: int = 0
+    texts: frozenset[int] = frozenset()
 
 
 def dialects_of(delimiter: str | None, decimal: str | None) -> tuple[Dialect, ...]:
@@ -96,7 +118,12 @@ def dialects_of(delimiter: str | None, decimal: str | None) -> tuple[Dialect, ..
     )
 
 
-def find_layout(lines: Sequence[str], dialects: Sequence[Dialect] = DIALECTS, skipped: int = 0) -> TableLayout | None:
+def find_layout(
+    lines: Sequence[str],
+    dialects: Sequence[Dialect] = DIALECTS,
+    skipped: int = 0,
+    is_ignored: Callable[[str], bool] = lambda label: False,
+) -> TableLayout | None:
     """Dialect and beginning of the table in the first lines of a file.
 
     Parameters
@@ -107,28 +134,66 @@ def find_layout(lines: Sequence[str], dialects: Sequence[Dialect] = DIALECTS, sk
         That come into question.
     skipped : int
         First lines that no table begins in.
+    is_ignored : callable
+        Whether the column below a label may hold whatever it likes.
 
     Returns
     -------
     TableLayout or None
         The dialect that makes some lines in a row a table of numbers, by preference one whose fields are as many in the
-        line above (the header), then the one with most columns. None when no dialect does.
+        line above (the header), then the one with most columns of numbers. Where no dialect does, some columns may
+        hold text; None when that does not help.
     """
-    best: tuple[tuple[bool, int, int], TableLayout] | None = None
     candidates = [
         (index, line)
         for index, line in enumerate(lines[skipped:], start=skipped)
         if line.strip() and not is_comment(line)
     ]
-    for preference, dialect in enumerate(dialects):
-        layout = _table_of(candidates, dialect)
-        if layout is None:
-            continue
-        header = header_line(lines, layout)
-        rank = (header is not None, layout.columns, -preference)
-        if best is None or rank > best[0]:
-            best = (rank, layout)
-    return None if best is None else best[1]
+    for with_text in (False, True):
+        best: tuple[tuple[bool, int, int], TableLayout] | None = None
+        for preference, dialect in enumerate(dialects):
+            texts = _texts_in(candidates, dialect, is_ignored) if with_text else frozenset[int]()
+            layout = _table_of(candidates, dialect, texts)
+            if layout is None:
+                continue
+            header = header_line(lines, layout)
+            rank = (header is not None, layout.columns - len(layout.texts), -preference)
+            if best is None or rank > best[0]:
+                best = (rank, layout)
+        if best is not None:
+            return _from_first_row(best[1], candidates)
+    return None
+
+
+def _from_first_row(layout: TableLayout, lines: Sequence[tuple[int, str]]) -> TableLayout:
+    """Return a layout that begins with the rows above it that have a number in most of their cells, and no text."""
+    first, dialect = layout.first, layout.dialect
+    for index, line in reversed([each for each in lines if each[0] < layout.first]):
+        fields = dialect.split_row(line, layout.columns)
+        kept = [field for place, field in enumerate(fields) if place not in layout.texts]
+        numbers = sum(map(dialect.is_cell, kept))
+        if len(fields) != layout.columns or 2 * numbers < len(kept) or len(kept) < 2:
+            break
+        if not all(dialect.is_cell(field) or dialect.is_missing(field) for field in kept):
+            break
+        first = index
+    return replace(layout, first=first)
+
+
+def _texts_in(lines: Sequence[tuple[int, str]], dialect: Dialect, is_ignored: Callable[[str], bool]) -> frozenset[int]:
+    """Places of the columns that hold no numbers: those that are ignored, and those of text in many lines in a row."""
+    ignored: frozenset[int] = frozenset()
+    last: tuple[int, frozenset[int]] = (0, frozenset())
+    found, longest = 0, (_CONVINCING_WITH_TEXT - 1, ignored)
+    for _, line in lines:
+        fields = dialect.split(line)
+        ignored = frozenset(place for place, field in enumerate(fields) if is_ignored(field)) or ignored
+        texts = frozenset(place for place, field in enumerate(fields) if not dialect.is_cell(field)) | ignored
+        found = found + 1 if (len(fields), texts) == last else 1
+        last = (len(fields), texts)
+        if found > longest[0] and len(texts) < len(fields):
+            longest = (found, texts)
+    return longest[1] or ignored
 
 
 def header_line(lines: Sequence[str], layout: TableLayout) -> int | None:
@@ -156,23 +221,23 @@ def is_comment(line: str) -> bool:
     return line.lstrip().startswith(("#", "%", "//"))
 
 
-def _table_of(lines: Sequence[tuple[int, str]], dialect: Dialect) -> TableLayout | None:
+def _table_of(lines: Sequence[tuple[int, str]], dialect: Dialect, texts: frozenset[int]) -> TableLayout | None:
     """Return the first table in numbered lines that are neither blank nor a comment."""
     first, columns, found = 0, 0, 0
     for index, line in lines:
-        if dialect.rules_out(line):
+        if not texts and dialect.rules_out(line):
             found = 0
             continue
         fields = dialect.split(line)
-        if all(map(dialect.is_cell, fields)):
+        if all(place in texts or dialect.is_cell(field) for place, field in enumerate(fields)):
             if found and len(fields) == columns:
                 found += 1
             else:
                 first, columns, found = index, len(fields), 1
-            if found == _CONVINCING:
+            if found == _CONVINCING and any(place not in texts for place in range(columns)):
                 plain = dict(lines)[first].rstrip("\r\n ")
                 ends = len(plain) - len(plain.rstrip(dialect.delimiter)) if dialect.delimiter != " " else 0
-                return TableLayout(dialect, first, columns, ends)
+                return TableLayout(dialect, first, columns, ends, texts)
         else:
             found = 0
     return None

@@ -42,9 +42,11 @@ class FileKind:
 
 
 TEXT_ENDINGS = (".csv", ".tsv", ".txt")
+#: Of tables of text, and of much else: such a file is what it begins like, and a table where it begins like nothing.
+LOOSE_ENDINGS = (".lvm", ".asc", ".dat")
 TEXT = FileKind(
     "text",
-    TEXT_ENDINGS,
+    (*TEXT_ENDINGS, *LOOSE_ENDINGS),
     "jointplay.catalogue.measurements.readers.csv",
     "read_csv",
     ("jointplay.catalogue.measurements.readers.csv",),
@@ -99,7 +101,7 @@ FOREIGN = {
 
 
 #: Kinds that other packages read, told by the ending of a name alone, which is the name of their entry point.
-_OWN_ENDINGS = {*TEXT_ENDINGS, *(ending for kind in FOREIGN.values() for ending in kind.endings)}
+_OWN_ENDINGS = {*TEXT.endings, *(ending for kind in FOREIGN.values() for ending in kind.endings)}
 INSTALLED = {
     name.upper(): FileKind(name.upper(), (f".{name.lower()}",), point.module, point.attr)
     for name, point in entry_points_of("readers").items()
@@ -139,7 +141,7 @@ def known_ending(name: str) -> str:
         When none has it.
     """
     ending = ending_of(name)
-    endings = sorted({*TEXT_ENDINGS, *(each for kind in KINDS.values() for each in kind.endings)})
+    endings = sorted({each for kind in KINDS.values() for each in kind.endings})
     if ending in MDF_ENDINGS:
         raise MeasurementError(name, rule=NO_MDF)
     if ending not in endings:
@@ -160,6 +162,8 @@ def kind_of(data: bytes, name: str) -> FileKind:
         raise MeasurementError(name, rule=NO_MDF)
     told = _by_content(data)
     ending = ending_of(name) if told is not None else known_ending(name)
+    if ending in LOOSE_ENDINGS:
+        return TEXT if told is None else FOREIGN[told]
     if ending in TEXT_ENDINGS:
         if told is None or told == "UFF":  # a table may begin with -1
             return TEXT

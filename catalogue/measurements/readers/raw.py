@@ -66,12 +66,15 @@ class RawColumn:
         As the file has it.
     position : str
         Where it stands, for messages: "column 2".
+    is_text : bool
+        It holds no numbers, and is left out.
     """
 
     label: str
     name: str
     unit: str | None
     position: str
+    is_text: bool = False
 
 
 @dataclass(frozen=True)
@@ -110,7 +113,7 @@ class RawRecording:
     columns : tuple of RawColumn, (c,)
         A time column may be among them.
     values : (n, c) array
-        Finite.
+        Finite, but for cells that are absent.
     sample_rate : float or None
         Where the file states it [Hz].
     facts : tuple of str
@@ -133,6 +136,8 @@ class RawRecording:
         What the file says of when it was measured.
     measured_at : datetime or None
         When it was measured, in UTC; what a profile says, or what was understood of the file.
+    absent : bool
+        NaN stands for a cell in which the file has no number.
     """
 
     source: str
@@ -149,6 +154,7 @@ class RawRecording:
     turns: FloatArray | None = None
     moment: RawMoment | None = None
     measured_at: datetime | None = None
+    absent: bool = False
 
     def line_of(self, sample: int) -> int | None:
         """Line of the file a sample came from, where it has lines."""
@@ -182,6 +188,7 @@ def encode(raw: RawRecording) -> dict[str, Any]:
         "declared": raw.declared,
         "relative": raw.relative,
         "ceiling": raw.ceiling,
+        "absent": raw.absent,
         "form": None if raw.form is None else asdict(raw.form),
         "moment": None if raw.moment is None else asdict(raw.moment),
         "lines": [raw.lines.start, raw.lines.stop] if isinstance(raw.lines, range) else None,
@@ -221,6 +228,7 @@ def decode(head: dict[str, Any], body: bytes | memoryview, source: str) -> RawRe
         declared=head["declared"],
         relative=head["relative"],
         ceiling=head["ceiling"],
+        absent=head["absent"],
         form=None if head["form"] is None else SpectrumForm(**head["form"]),
         moment=None if head["moment"] is None else RawMoment(**head["moment"]),
     )
@@ -260,7 +268,7 @@ def check(raw: RawRecording, limits: Limits) -> RawRecording:
     if raw.declared is not None and raw.declared != samples:
         rule = f"is truncated or damaged: it declares {raw.declared} samples, {samples} are there"
         raise MeasurementError(raw.source, rule=rule)
-    bad = np.argwhere(~np.isfinite(raw.values))
+    bad = np.argwhere(np.isinf(raw.values) if raw.absent else ~np.isfinite(raw.values))
     if len(bad):
         row, column = (int(each) for each in bad[0])
         name, value = raw.columns[column].name, float(raw.values[row, column])

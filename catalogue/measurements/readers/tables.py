@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import zipfile
 from collections.abc import Iterator
+from dataclasses import replace
 from datetime import date, datetime, time, timedelta
 from importlib import import_module
 from typing import Any
@@ -62,7 +63,7 @@ def read_xlsx(data: bytes, source: str, limits: Limits) -> RawRecording:
             refusal = refusal if text.count("\n") <= limits.min_samples else error
             continue
         told = (f"workbook, sheet {name!r}", *found.facts[1:])
-        return RawRecording(source, found.columns, found.values, found.sample_rate, told, moment=found.moment)
+        return replace(found, facts=told, lines=None)
     raise refusal
 
 
@@ -146,8 +147,10 @@ def _recording_of(arrow: Any, table: Any, kind: str, source: str) -> RawRecordin
         values.append(np.asarray(numbers, dtype=np.float64))
     if not columns:
         raise MeasurementError(source, rule="holds no column of numbers")
+    numbers = np.column_stack(values)
+    absent = bool(np.isnan(numbers).any())
     return RawRecording(
-        source, tuple(columns), np.column_stack(values), None, tuple(facts), declared=table.num_rows, moment=moment
+        source, tuple(columns), numbers, None, tuple(facts), declared=table.num_rows, moment=moment, absent=absent
     )
 
 
