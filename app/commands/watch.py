@@ -211,6 +211,7 @@ class Watcher:
             return
         if known is not None:  # its answer was lost: the very same is asked for once more
             entry = replace(entry, name=known.name)
+        before = self._journal.last(entry.file)
         self._journal.add(entry)
         try:
             answer = self._destination.send(entry.name, content, token_of(entry))
@@ -222,7 +223,10 @@ class Watcher:
                 self._refuse(entry, f"failed {tried} times: {error}")
         else:
             self.sent += 1
-            self._note(replace(entry, state="sent", said=answer["id"]), summary(answer))
+            said = summary(answer)
+            if before is not None and is_beginning(before, content):
+                said += f"; what it held at first was sent, too: delete {before.said}"
+            self._note(replace(entry, state="sent", said=answer["id"]), said)
 
     def _refuse(self, entry: Entry, why: str) -> None:
         self.refused += 1
@@ -233,6 +237,13 @@ class Watcher:
         state: Literal["sending", "sent", "refused"] = entry.state
         shown = {"file": entry.file, "sha256": entry.sha256, "state": state, "name": entry.name, "said": entry.said}
         click.echo(json.dumps(shown) if self._as_json else f"{entry.file}: {said}")
+
+
+def is_beginning(before: Entry, content: bytes) -> bool:
+    """Return whether what was sent of a file is how its content begins: its writer had paused for long."""
+    if before.state != "sent" or before.size >= len(content):
+        return False
+    return hashlib.sha256(content[: before.size]).hexdigest() == before.sha256
 
 
 def token_of(entry: Entry) -> str:

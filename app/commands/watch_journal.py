@@ -80,6 +80,10 @@ class Journal:
             return False
         return (entry.size, entry.mtime_ns) == (size, mtime_ns)
 
+    def last(self, file: str) -> Entry | None:
+        """Return the last line about a file."""
+        return self._files.get(file)
+
     def content(self, sha256: str) -> Entry | None:
         """Return the last line about a content, under whatever name."""
         return self._contents.get(sha256)

@@ -187,6 +187,23 @@ def test_a_text_that_does_not_end_with_a_line_is_waited_for_longer(
     assert [name for name, _, _ in got.got] == ["b.wav", "a.csv"]
 
 
+def test_a_writer_that_paused_for_long_is_told_what_its_half_became(
+    folder: Path, told: Callable[..., Told], capsys: pytest.CaptureFixture[str]
+) -> None:
+    got = told()
+    (folder / "a.csv").write_bytes(b"1\n")
+    assert watched(folder).sent == 1
+    (half,) = (entry["said"] for entry in journal(folder) if entry["state"] == "sent")
+    capsys.readouterr()
+    (folder / "a.csv").write_bytes(b"1\n2\n")
+    assert watched(folder).sent == 1
+    assert f"; what it held at first was sent, too: delete {half}\n" in capsys.readouterr().out
+    (folder / "a.csv").write_bytes(b"other\n")
+    assert watched(folder).sent == 1
+    assert "at first" not in capsys.readouterr().out
+    assert [content for _, content, _ in got.got] == [b"1\n", b"1\n2\n", b"other\n"]
+
+
 def test_the_same_content_under_two_names_is_sent_once(
     folder: Path, told: Callable[..., Told], capsys: pytest.CaptureFixture[str]
 ) -> None:
