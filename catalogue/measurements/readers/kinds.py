@@ -100,8 +100,9 @@ FOREIGN = {
 }
 
 
-#: Kinds that other packages read, told by the ending of a name alone, which is the name of their entry point.
-_OWN_ENDINGS = {*TEXT.endings, *(ending for kind in FOREIGN.values() for ending in kind.endings)}
+#: Kinds that other packages read, told by the ending of a name alone, which is the name of their entry point: none of
+#: ours, but those that many programs give to files of their own.
+_OWN_ENDINGS = {*TEXT_ENDINGS, *(ending for kind in FOREIGN.values() for ending in kind.endings)}
 INSTALLED = {
     name.upper(): FileKind(name.upper(), (f".{name.lower()}",), point.module, point.attr)
     for name, point in entry_points_of("readers").items()
@@ -162,6 +163,9 @@ def kind_of(data: bytes, name: str) -> FileKind:
         raise MeasurementError(name, rule=NO_MDF)
     told = _by_content(data)
     ending = ending_of(name) if told is not None else known_ending(name)
+    installed = next((kind for kind in INSTALLED.values() if ending in kind.endings), None)
+    if installed is not None:
+        return installed
     if ending in LOOSE_ENDINGS:
         return TEXT if told is None else FOREIGN[told]
     if ending in TEXT_ENDINGS:
@@ -169,8 +173,6 @@ def kind_of(data: bytes, name: str) -> FileKind:
             return TEXT
         raise MeasurementError(name, rule=f"ends in {ending}, but is a {told} file: name it so")
     named = next((kind for kind in KINDS.values() if ending in kind.endings), None)
-    if named is not None and named.name in INSTALLED:
-        return named
     if told is None:
         assert named is not None
         if named.name in ("JSON", "MAT"):  # JSON and MAT version 4 begin in no way of their own
