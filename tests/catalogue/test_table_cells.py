@@ -142,7 +142,7 @@ def test_columns_that_are_ignored_may_hold_anything() -> None:
     assert read(once, ignore=["a"]).channel_names == ("b",)
 
 
-@pytest.mark.parametrize("cell", ["", "NaN", "nan", "Overflow", "#N/A", "OVR", "---"])
+@pytest.mark.parametrize("cell", ["", "NaN", "nan", "#N/A", "n/a", "---"])
 def test_a_cell_without_a_number_is_filled(cell: str) -> None:
     a, b = SIGNAL[298]
     for line, channel in ((f"0.298,{cell},{b}", "a"), (f"0.298,{a},{cell}", "b")):
@@ -150,6 +150,15 @@ def test_a_cell_without_a_number_is_filled(cell: str) -> None:
         assert np.abs(found.signal - SIGNAL).max() < 1e-4
         assert found.warnings[0].startswith(f"channel {channel!r}: 1 cell has no number: filled from the rows beside")
         assert found.warnings[0] in found.import_report
+
+
+@pytest.mark.parametrize("cell", ["Overflow", "OVR", "-OL", "over range"])
+def test_an_overload_is_no_gap(cell: str) -> None:
+    """What a blow was is not what stands beside it."""
+    once = plain(line_300=f"0.298,{cell},0.5")
+    rule = "is beyond the range that was measured: measure again in a wider one, or leave out the column by ignore"
+    assert refusal(once).startswith(f"r.csv: line 300: column 'a': '{cell}': {rule}")
+    assert read(once, ignore=["a"]).channel_names == ("b",)
 
 
 def test_cells_without_a_number_at_the_ends_are_held() -> None:

@@ -26,7 +26,7 @@ from jointplay.catalogue.measurements.readers.dialect import (
 )
 from jointplay.catalogue.measurements.readers.moments import RawMoment, find_in_lines
 from jointplay.catalogue.measurements.readers.raw import Limits, RawColumn, RawRecording
-from jointplay.catalogue.measurements.readers.rows import cell_rule, read_rows, without_footer
+from jointplay.catalogue.measurements.readers.rows import read_rows, without_footer
 from jointplay.catalogue.measurements.readers.stamps import replace_stamps
 
 #: What `jointplay simulate` calls a sensor.
@@ -218,7 +218,7 @@ def _columns(head: Sequence[str], layout: TableLayout, source: str) -> tuple[tup
             above = _line_above(head, above)
         names = [] if above is None else header_fields(head[above], layout)
         name = split_label(names[position])[0] if len(names) == len(labels) else str(position + 1)
-        raise MeasurementError(source, index + 1, name, labels[position] or None, cell_rule(labels[position], dialect))
+        raise MeasurementError(source, index + 1, name, labels[position] or None, dialect.rule_of(labels[position]))
     used = {index}
     named = labels[0].strip(":").lower() in UNIT_WORDS and len(labels) > 1
     if all(parse_unit(label) is not None for label in labels[named:]):

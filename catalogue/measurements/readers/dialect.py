@@ -11,12 +11,13 @@ from dataclasses import dataclass, replace
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 #: Not numbers to compute with, but a cell of a table of numbers all the same.
 _NOT_FINITE = re.compile(r"[+-]?(nan|inf|infinity|1\.#\w+)", re.IGNORECASE)
-#: Of a cell that a program had no number for, or none in its range; not of a damaged one.
-MISSING = (
-    r"-?nan|#?n/?a|#n/?v|#(num|div/0|value)!|null|none|-{1,3}|\?|invalid|missing|1\.#(ind|qnan|snan)"
-    r"|[+-]?(over ?(flow|load|range|run)?|under ?(flow|range)|ovr|ovl|ol)"
-)
+#: Of a cell that a program had no number for; not of a damaged one.
+MISSING = r"-?nan|#?n/?a|#n/?v|#(num|div/0|value)!|null|none|-{1,3}|\?|invalid|missing|1\.#(ind|qnan|snan)"
 _MISSING = re.compile(MISSING, re.IGNORECASE)
+#: Of a cell whose number was too large to be measured: what a blow does, and nothing beside it says by how much.
+_OVERLOAD = re.compile(r"[+-]?(over ?(flow|load|range|run)?|under ?(flow|range)|ovr|ovl|ol)", re.IGNORECASE)
+#: Lines of words that may follow a table.
+FOOTER = 50
 _NAMES = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "blanks"}
 
 #: Lines that must read as numbers, one after the other, before a table is believed to begin; and where some of their
@@ -82,6 +83,14 @@ class Dialect:
     def is_missing(field: str) -> bool:
         """Whether a field of a row has no number, and says so: it is empty, "NaN" or "Overflow"."""
         return not field or _MISSING.fullmatch(field) is not None
+
+    def rule_of(self, field: str) -> str:
+        """Return the rule that a cell without a number breaks."""
+        if not field:
+            return "is empty"
+        if _OVERLOAD.fullmatch(field):
+            return "is beyond the range that was measured: measure again in a wider one"
+        return "is not finite" if self.is_cell(field) else "is not a number: correct it"
 
 
 DIALECTS = tuple(Dialect(delimiter, decimal) for delimiter in ";\t|, " for decimal in ".," if delimiter != decimal)

@@ -11,14 +11,12 @@ import numpy as np
 
 from jointplay.catalogue.errors import MeasurementError
 from jointplay.catalogue.measurements.readers.decimal_table import plain_table
-from jointplay.catalogue.measurements.readers.dialect import MISSING, Dialect, TableLayout, is_comment
+from jointplay.catalogue.measurements.readers.dialect import FOOTER, MISSING, TableLayout, is_comment
 from jointplay.catalogue.measurements.readers.raw import RawColumn
 from jointplay.solver.arrays import FloatArray
 
 #: A comment begins, and not what spreadsheets put into cells.
 _COMMENT = re.compile(r"#(?!N/?A\b|NUM!|DIV/0!|VALUE!)")
-#: Lines of words that may follow a table.
-_FOOTER = 50
 
 
 def read_rows(
@@ -97,7 +95,7 @@ def without_footer(text: str, layout: TableLayout) -> tuple[str, list[str]]:
     """
     end, kept = len(text), len(text)
     notes: list[str] = []
-    for _ in range(_FOOTER):
+    for _ in range(FOOTER):
         begin = text.rfind("\n", 0, max(0, end - 1)) + 1
         line = text[begin:end]
         if line.strip() and not is_comment(line):
@@ -140,16 +138,9 @@ def _read_line_by_line(
             elif is_free or layout.dialect.is_missing(field):
                 numbers.append(np.nan)
             else:
-                rule = f"{cell_rule(field, layout.dialect)}: correct it, or leave out the column by ignore in a profile"
+                rule = f"{layout.dialect.rule_of(field)}, or leave out the column by ignore in a profile"
                 raise MeasurementError(source, number, column.name, field, rule)  # the file is at fault
     return np.frombuffer(numbers, np.float64).reshape(-1, layout.columns).copy()
-
-
-def cell_rule(field: str, dialect: Dialect) -> str:
-    """Return the rule that a cell without a number breaks."""
-    if not field:
-        return "is empty"
-    return "is not finite" if dialect.is_cell(field) else "is not a number"
 
 
 def _rows(text: str, layout: TableLayout) -> Iterator[tuple[int, str]]:

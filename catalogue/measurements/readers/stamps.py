@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from datetime import date
 from itertools import pairwise
 
-from jointplay.catalogue.measurements.readers.dialect import is_comment
+from jointplay.catalogue.measurements.readers.dialect import FOOTER, is_comment
 
 #: With a decimal comma only where none can divide columns.
 _STAMP = re.compile(
@@ -24,8 +24,6 @@ _STAMP = re.compile(
     re.IGNORECASE,
 )
 _CONVINCING = 3
-#: Lines without a time that may follow a table.
-_FOOTER = 50
 _SECOND, _DAY = 10**9, 86_400 * 10**9
 
 
@@ -66,7 +64,7 @@ def replace_stamps(text: str, head: Sequence[str]) -> Stamps | None:
             continue
         if _STAMP.search(head[index]) is not None:
             begin, count = index, count + 1
-        elif count or index < len(head) - _FOOTER:
+        elif count or index < len(head) - FOOTER:
             break
     if count < _CONVINCING:
         return None
