@@ -32,7 +32,8 @@ from jointplay.app.shelves import built_in
 from jointplay.app.shelves.catalogues import CatalogueShelf, Offer, stamp_of
 from jointplay.app.shelves.entries import EntryShelf
 from jointplay.app.storage import webhooks
-from jointplay.app.storage.assets import AssetRow, Assets, measurements_of, touch_owners
+from jointplay.app.storage.asset_rows import AssetRow
+from jointplay.app.storage.assets import Assets, measurements_of, touch_owners
 from jointplay.app.storage.build_queue import BuildQueue
 from jointplay.app.storage.machine_store import MachineStore
 from jointplay.app.storage.remembered import Remembered

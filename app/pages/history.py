@@ -8,7 +8,7 @@ from typing import Any
 
 from jointplay.app import words
 from jointplay.app.rows import micrometres, plays
-from jointplay.app.storage.assets import FindingRow
+from jointplay.app.storage.asset_rows import FindingRow
 from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
 from jointplay.app.words import spell_moment
 

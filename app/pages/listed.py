@@ -7,7 +7,7 @@ from typing import Any
 
 from sqlalchemy import func, select
 
-from jointplay.app.storage.assets import AssetMeasurementRow
+from jointplay.app.storage.asset_rows import AssetMeasurementRow
 from jointplay.app.storage.database import ServiceDatabase
 from jointplay.app.storage.rows import Damaged, DiagnosisRow, MeasurementRow
 from jointplay.app.storage.store import Store

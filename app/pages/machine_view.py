@@ -9,7 +9,7 @@ from typing import Any
 from jointplay.app.figures.machine_account import drive_of
 from jointplay.app.jobs.tasks import MachineLook
 from jointplay.app.shelves.catalogues import Offer
-from jointplay.app.storage.assets import AssetRow
+from jointplay.app.storage.asset_rows import AssetRow
 from jointplay.app.storage.machine_store import MachineVersion
 from jointplay.app.words import spell_moment
 from jointplay.solver.machines.drawing import machine_svg

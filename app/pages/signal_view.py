@@ -7,7 +7,8 @@ from typing import Any
 from sqlalchemy import select
 
 from jointplay.app.service import Service
-from jointplay.app.storage.assets import AssetDiagnosisRow, AssetMeasurementRow, Assets, measurements_of
+from jointplay.app.storage.asset_rows import AssetDiagnosisRow, AssetMeasurementRow
+from jointplay.app.storage.assets import Assets, measurements_of
 from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
 from jointplay.app.words import short, spell_moment
 

@@ -6,7 +6,7 @@ from datetime import datetime, timedelta
 from typing import Any
 
 from jointplay.app.schemas.assets import StandingOut
-from jointplay.app.storage.assets import AssetRow
+from jointplay.app.storage.asset_rows import AssetRow
 from jointplay.app.storage.standings import standing_out
 from jointplay.app.words import spell_moment
 

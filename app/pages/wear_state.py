@@ -8,7 +8,7 @@ from typing import Any
 from jointplay.app.pages.history import course
 from jointplay.app.pages.standing import day
 from jointplay.app.rows import between, length, micrometres, percent
-from jointplay.app.storage.assets import FindingRow
+from jointplay.app.storage.asset_rows import FindingRow
 from jointplay.app.words import spell_moment
 from jointplay.catalogue.following.state import JointFollowed, WearState
 

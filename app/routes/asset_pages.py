@@ -29,7 +29,8 @@ from jointplay.app.schemas.assets import Acknowledgement, AssetIn, AssetName, Lo
 from jointplay.app.schemas.resources import DiagnosisRequest
 from jointplay.app.scopes import Scope
 from jointplay.app.service import Service, of_request
-from jointplay.app.storage.assets import AssetRow, Assets, diagnoses_of, measurements_of
+from jointplay.app.storage.asset_rows import AssetRow
+from jointplay.app.storage.assets import Assets, diagnoses_of, measurements_of
 from jointplay.app.storage.rows import Damaged, MeasurementRow, now
 from jointplay.app.storage.standings import Standings
 from jointplay.app.words import colour_sentence, spell_moment

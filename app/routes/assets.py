@@ -30,7 +30,8 @@ from jointplay.app.schemas.assets import (
     check_external_id,
 )
 from jointplay.app.service import Service, of_request
-from jointplay.app.storage.assets import AssetRow, Assets
+from jointplay.app.storage.asset_rows import AssetRow
+from jointplay.app.storage.assets import Assets
 from jointplay.app.storage.idempotency import IdempotencyKey
 from jointplay.app.storage.rows import Damaged
 from jointplay.app.storage.standings import Standings, standing_out

@@ -17,7 +17,8 @@ from jointplay.app.routes.machines import Cursor, Limit
 from jointplay.app.schemas.assets import FindingIn, FindingOut, FindingPage, JointFound
 from jointplay.app.schemas.resources import DamagedItem
 from jointplay.app.service import Service, of_request
-from jointplay.app.storage.assets import Assets, FindingRow
+from jointplay.app.storage.asset_rows import FindingRow
+from jointplay.app.storage.assets import Assets
 from jointplay.app.storage.idempotency import IdempotencyKey, once
 from jointplay.app.storage.rows import Damaged
 from jointplay.app.words import Moment

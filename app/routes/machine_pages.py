@@ -20,7 +20,8 @@ from jointplay.app.problems import Problem
 from jointplay.app.routes.build_pages import may_build
 from jointplay.app.routes.pages import KNOWN_ASSETS, REFUSALS, context
 from jointplay.app.service import Service, of_request
-from jointplay.app.storage.assets import AssetRow, Assets
+from jointplay.app.storage.asset_rows import AssetRow
+from jointplay.app.storage.assets import Assets
 from jointplay.app.storage.machine_store import check_name
 from jointplay.solver.machines.machine import Machine, shipped_machine_names
 

@@ -13,7 +13,7 @@ from typing import Any, Literal
 from sqlalchemy import select
 
 from jointplay.app.errors import RecordingDamagedError, RecordingMissingError
-from jointplay.app.storage.assets import AssetRow, FindingRow
+from jointplay.app.storage.asset_rows import AssetRow, FindingRow
 from jointplay.app.storage.audit import AuditLog
 from jointplay.app.storage.recording_files import check_file
 from jointplay.app.storage.rows import Damaged, DiagnosisRow, MeasurementRow, rows_of

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from sqlalchemy import ColumnElement, delete, func, select
 
-from jointplay.app.storage.assets import AssetBaselineRow, AssetRow
+from jointplay.app.storage.asset_rows import AssetBaselineRow, AssetRow
 from jointplay.app.storage.removal import GOING, Removal, tidy_folders
 from jointplay.app.storage.retention import RetentionRow, class_in, recordings
 from jointplay.app.storage.rows import MeasurementRow, now

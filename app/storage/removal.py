@@ -21,19 +21,14 @@ from sqlalchemy.orm import Session
 from jointplay.app.actor import actor
 from jointplay.app.errors import BuildOpenError, DamagedRowError, InUseError
 from jointplay.app.storage import audit, idempotency
-from jointplay.app.storage.assets import (
+from jointplay.app.storage.asset_rows import (
     AssetBaselineRow,
     AssetDiagnosisRow,
     AssetMeasurementRow,
     AssetRow,
-    Assets,
     FindingRow,
-    about_asset,
-    about_finding,
-    deleted_meanwhile,
-    measurements_of,
-    touch,
 )
+from jointplay.app.storage.assets import Assets, about_asset, about_finding, deleted_meanwhile, measurements_of, touch
 from jointplay.app.storage.build_queue import ENDED, BuildDeathsRow, BuildQueue, BuildRow, about_build
 from jointplay.app.storage.machine_store import MachineStore
 from jointplay.app.storage.remembered import RememberedRow

@@ -19,7 +19,7 @@ from sqlalchemy.orm import Mapped, Session, mapped_column
 from jointplay.app.actor import actor
 from jointplay.app.errors import InUseError, QuotaError
 from jointplay.app.storage import audit
-from jointplay.app.storage.assets import AssetBaselineRow, AssetRow, FindingRow
+from jointplay.app.storage.asset_rows import AssetBaselineRow, AssetRow, FindingRow
 from jointplay.app.storage.database import ServiceDatabase
 from jointplay.app.storage.rows import MADE_BY, Base, DiagnosisRow, MeasurementRow, now
 from jointplay.app.storage.tombstones import deleted, refuse_deleted

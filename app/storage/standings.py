@@ -15,7 +15,8 @@ from sqlalchemy.orm import Session
 
 from jointplay.app.errors import BadFieldError, DamagedRowError
 from jointplay.app.schemas.assets import Acknowledged, StandingOut
-from jointplay.app.storage.assets import NEEDED, AssetRow, diagnoses_of, measurements_of, one_locked
+from jointplay.app.storage.asset_rows import AssetRow
+from jointplay.app.storage.assets import NEEDED, diagnoses_of, measurements_of, one_locked
 from jointplay.app.storage.audit import note
 from jointplay.app.storage.database import ServiceDatabase
 from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow, now, rows_of

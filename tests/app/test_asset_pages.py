@@ -13,7 +13,7 @@ from answers import diagnosis, hypothesis, joint
 
 from jointplay.app.pages.history import chart, history
 from jointplay.app.rows import Play
-from jointplay.app.storage.assets import FindingRow
+from jointplay.app.storage.asset_rows import FindingRow
 from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
 
 API = "/api/v1"

@@ -20,7 +20,8 @@ from uploaded import uploaded
 
 from jointplay.app.cli import main
 from jointplay.app.schemas.assets import AssetIn
-from jointplay.app.storage.assets import AssetMeasurementRow, Assets, measurements_of
+from jointplay.app.storage.asset_rows import AssetMeasurementRow
+from jointplay.app.storage.assets import Assets, measurements_of
 from jointplay.app.storage.backup import ROWS, Place, back_up, restore
 from jointplay.app.storage.store import Store
 from jointplay.app.storage.told import Told, read_told

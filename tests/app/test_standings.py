@@ -19,7 +19,8 @@ from uploaded import uploaded
 from jointplay.app.errors import BadFieldError
 from jointplay.app.schemas.assets import AssetIn, FindingIn
 from jointplay.app.schemas.webhooks import EVENTS
-from jointplay.app.storage.assets import AssetRow, Assets
+from jointplay.app.storage.asset_rows import AssetRow
+from jointplay.app.storage.assets import Assets
 from jointplay.app.storage.build_queue import BuildQueue
 from jointplay.app.storage.rows import now
 from jointplay.app.storage.standings import LEASE, Due, Standings, standing_out
