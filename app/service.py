@@ -38,9 +38,10 @@ from jointplay.app.storage.build_queue import BuildQueue
 from jointplay.app.storage.machine_store import MachineStore
 from jointplay.app.storage.remembered import Remembered
 from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
-from jointplay.app.storage.store import NewDiagnosis, Store, Upload, measurement_key
+from jointplay.app.storage.store import NewDiagnosis, Store, measurement_key
 from jointplay.app.storage.stored_files import SIGNALS
 from jointplay.app.storage.told import Told
+from jointplay.app.storage.uploads import Upload
 from jointplay.catalogue.diagnosing.answer import Diagnosis
 from jointplay.catalogue.diagnosing.question import MOST_TOGETHER
 from jointplay.catalogue.following.state import WearState
@@ -144,20 +145,20 @@ class Service:
             wanted.seed,
         )
         content, name, summary = await self.pool.run(virtual.make_recording, task, times=virtual.LIMITS)
-        upload = await run_in_threadpool(self.store.receive, io.BytesIO(content))
+        upload = await run_in_threadpool(self.store.uploads.receive, io.BytesIO(content))
         try:
             return await run_in_threadpool(self.store.add_measurement, upload, name, None, summary)
         finally:
-            self.store.settle(upload)
+            self.store.uploads.settle(upload)
 
     async def add_built_in(self, name: str) -> MeasurementRow:
         """Store a recording that ships with the program."""
         content = await run_in_threadpool(built_in.content_of, name)
-        upload = await run_in_threadpool(self.store.receive, io.BytesIO(content))
+        upload = await run_in_threadpool(self.store.uploads.receive, io.BytesIO(content))
         try:
             return await self.add_measurement(upload, built_in.file_name(name), Told())
         finally:
-            self.store.settle(upload)
+            self.store.uploads.settle(upload)
 
     async def follow(self, external_id: str) -> WearState:
         """Return the state of wear of an asset.

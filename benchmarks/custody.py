@@ -46,7 +46,7 @@ def answers(count: int) -> list[Diagnosis]:
 
 def with_rows(store: Store, count: int) -> str:
     """Store diagnoses; give the id of the last."""
-    measured = store.add_measurement(store.receive(io.BytesIO(os.urandom(300_000))), "a.csv", None, {})
+    measured = store.add_measurement(store.uploads.receive(io.BytesIO(os.urandom(300_000))), "a.csv", None, {})
     machine = {"name": "m", "joints": {"B": {"kind": "turning"}}, "padding": "x" * 3000}
     last = ""
     for answer in answers(count):
@@ -74,7 +74,7 @@ def reading(store: Store) -> None:
 def files(folder: Path) -> None:
     """Print what checking a recording adds to reading it."""
     with closing(Store(folder)) as store:
-        upload = store.receive(io.BytesIO(os.urandom(300_000)))
+        upload = store.uploads.receive(io.BytesIO(os.urandom(300_000)))
         path = store.path_of(store.add_measurement(upload, "a.csv", None, {}).sha256)
     plain, checked = seconds(path.read_bytes), seconds(lambda: read_bytes(path))
     print(f"recording of 0.3 MB: {1e3 * plain:.2f} ms without, {1e3 * checked:.2f} ms with its SHA-256")
@@ -86,7 +86,7 @@ def writing(stores: list[Store], name: str) -> None:
     def write(number: int) -> None:
         store = stores[number % len(stores)]
         for turn in range(EACH):
-            upload = store.receive(io.BytesIO(f"{name} {number} {turn} {time.monotonic_ns()}".encode()))
+            upload = store.uploads.receive(io.BytesIO(f"{name} {number} {turn} {time.monotonic_ns()}".encode()))
             store.add_measurement(upload, f"{number}.csv", None, {})
 
     def run() -> tuple[float, float]:

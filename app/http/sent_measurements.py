@@ -17,8 +17,9 @@ from jointplay.app.fields import TOLD
 from jointplay.app.http.uploads import MULTIPART, base_name, media_type, receive_form
 from jointplay.app.http.validation import validate
 from jointplay.app.schemas.resources import Shape
-from jointplay.app.storage.store import Store, Upload
+from jointplay.app.storage.store import Store
 from jointplay.app.storage.told import Told, read_told
+from jointplay.app.storage.uploads import Upload
 from jointplay.app.words import MeasuredAt
 from jointplay.catalogue.measurements.import_profile import ImportProfile
 
@@ -129,13 +130,13 @@ async def receive_measurement(request: Request, store: Store) -> AsyncIterator[S
             yield Sent(form.file, form.file_name, told, form.fields.get("asset"))
     elif kind == JSON_TYPE:
         wanted = await run_in_threadpool(validate, MeasurementIn, await request.body())
-        upload = await run_in_threadpool(store.receive, io.BytesIO(file_of(wanted)))
+        upload = await run_in_threadpool(store.uploads.receive, io.BytesIO(file_of(wanted)))
         try:
             said = {} if wanted.measured_at is None else {"measured_at": wanted.measured_at}
             told = Told.of(wanted.profile.model_copy(update=said))
             yield Sent(upload, name_recording(wanted.name), told, wanted.asset)
         finally:
-            store.settle(upload)
+            store.uploads.settle(upload)
     else:
         raise UnsupportedMediaError(f"Content-Type: {kind or 'none'}: must be {JSON_TYPE} or {MULTIPART}")
 

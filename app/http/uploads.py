@@ -13,7 +13,8 @@ from starlette.datastructures import UploadFile
 from starlette.requests import Request
 
 from jointplay.app.errors import BadFieldError, BadRequestError, UnsupportedMediaError, UploadTooLargeError
-from jointplay.app.storage.store import Store, Upload
+from jointplay.app.storage.store import Store
+from jointplay.app.storage.uploads import Upload
 
 MULTIPART = "multipart/form-data"
 URLENCODED = "application/x-www-form-urlencoded"
@@ -142,14 +143,14 @@ async def receive_form(request: Request, store: Store, known: frozenset[str]) ->
                 if isinstance(value, UploadFile):
                     # A browser sends a file field that was left empty as a file without a name.
                     if value.filename:
-                        uploads.append(await run_in_threadpool(store.receive, value.file))
+                        uploads.append(await run_in_threadpool(store.uploads.receive, value.file))
                         file_name = base_name(value.filename)
                 elif value.strip():
                     fields[name] = value.strip()
         yield Form(uploads[0] if uploads else None, file_name, fields)
     finally:
         for upload in uploads:
-            store.settle(upload)
+            store.uploads.settle(upload)
 
 
 async def text_of(part: UploadFile, name: str) -> str:

@@ -64,7 +64,8 @@ async def check(service: Service) -> None:
     """
     workers = asyncio.ensure_future(service.pool.check(START_S))
     database, data = await asyncio.gather(
-        look(service, "database", service.store.database.try_writing), look(service, "data", service.store.try_writing)
+        look(service, "database", service.store.database.try_writing),
+        look(service, "data", service.store.uploads.try_writing),
     )
     faults = [text for text in (database, data) if text]
     # What is wrong is said at once; a worker that starts is not ended by that.

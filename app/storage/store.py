@@ -4,20 +4,17 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
-import tempfile
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 from sqlalchemy import Select, select
 from sqlalchemy.engine import URL
 from sqlalchemy.orm import Session
 
-from jointplay.app.errors import AppError, BusyError, UnknownDiagnosisError, UnknownMeasurementError
+from jointplay.app.errors import BusyError, UnknownDiagnosisError, UnknownMeasurementError
 from jointplay.app.storage import audit
 from jointplay.app.storage.assets import touch_owners
 from jointplay.app.storage.database import ServiceDatabase, database_url
@@ -35,30 +32,11 @@ from jointplay.app.storage.rows import (
     one_of,
     rows_of,
 )
-from jointplay.app.storage.stored_files import PARTIAL, RECORDINGS, StoredFiles, recording_path
+from jointplay.app.storage.stored_files import StoredFiles, recording_path
 from jointplay.app.storage.told import Told
 from jointplay.app.storage.tombstones import TombstoneRow, deleted, dig_up, missing, refuse_deleted
+from jointplay.app.storage.uploads import Upload, Uploads
 from jointplay.catalogue.diagnosing.answer import Diagnosis
-from jointplay.catalogue.storage.directory import sync_folder
-
-
-@dataclass(frozen=True)
-class Upload:
-    """A file on its way in.
-
-    Parameters
-    ----------
-    path : Path
-        Where its bytes lie.
-    sha256 : str
-        Of the bytes.
-    size : int
-        Number of bytes.
-    """
-
-    path: Path
-    sha256: str
-    size: int
 
 
 @dataclass(frozen=True)
@@ -117,6 +95,8 @@ class Store:
         Of keys of idempotency.
     files : StoredFiles
         What lies in the folder, and may be deleted.
+    uploads : Uploads
+        What is on its way into it.
 
     Raises
     ------
@@ -127,11 +107,11 @@ class Store:
     def __init__(self, directory: Path, url: str = "", quotas: Quotas | None = None) -> None:
         self.directory = directory
         self._quotas = quotas or Quotas()
-        self._files = directory / RECORDINGS  # of uploads
-        self._files.mkdir(parents=True, exist_ok=True)
+        directory.mkdir(parents=True, exist_ok=True)
         file = URL.create("sqlite", database=str(directory / "service.sqlite"))
         self.database = ServiceDatabase(database_url(url) if url else file, Base.metadata)
         self.files = StoredFiles(directory, self.database)
+        self.uploads = Uploads(directory, self.files)
         self.files.settle()
         self.claims = Claims(self.database)  # before what ends a transaction: that waits for nothing any more
         audit.attend(self.database)
@@ -141,70 +121,9 @@ class Store:
         """Let go of the database."""
         self.database.close()
 
-    def try_writing(self) -> None:
-        """Write a file where uploads go, and delete it.
-
-        Raises
-        ------
-        OSError
-            When that cannot be done.
-        """
-        with tempfile.NamedTemporaryFile(dir=self._files, prefix=PARTIAL) as attempt:
-            attempt.write(b"?")
-            attempt.flush()
-
-    def receive(self, source: BinaryIO) -> Upload:
-        """Copy an upload below the directory, to the disk, and return where it is.
-
-        The copy is this upload's own until it becomes a measurement. Each is to be settled once.
-        """
-        digest = hashlib.sha256()
-        size = 0
-        with tempfile.NamedTemporaryFile(dir=self._files, prefix=PARTIAL, delete=False) as partial:
-            try:
-                while block := source.read(1 << 20):
-                    digest.update(block)
-                    size += len(block)
-                    partial.write(block)
-                partial.flush()
-                os.fsync(partial.fileno())
-            except BaseException:
-                Path(partial.name).unlink(missing_ok=True)
-                raise
-        return Upload(Path(partial.name), digest.hexdigest(), size)
-
-    def _name(self, upload: Upload) -> None:
-        """Give an upload the name of its content, to the disk, before a row says that it is there.
-
-        Bytes whose row cannot be committed stay for a while: another server may be about to store the same.
-        """
-        target = self.path_of(upload.sha256)
-        target.parent.mkdir(exist_ok=True)
-        sync_folder(self._files)
-        try:
-            os.replace(upload.path, target)
-        except FileNotFoundError:
-            if not target.is_file():  # else it has the name already
-                raise
-        sync_folder(target.parent)
-
-    @contextmanager
-    def _named(self, upload: Upload) -> Iterator[None]:
-        """Give an upload the name of its content for a transaction; it goes again where that is refused."""
-        self._name(upload)
-        try:
-            yield
-        except AppError:
-            self.files.drop([upload.sha256])
-            raise
-
     def path_of(self, sha256: str) -> Path:
         """Return where the bytes with this checksum lie."""
         return recording_path(self.directory, sha256)
-
-    def settle(self, upload: Upload) -> None:
-        """Delete an upload, unless it became a measurement."""
-        upload.path.unlink(missing_ok=True)
 
     def add_measurement(
         self,
@@ -235,7 +154,7 @@ class Store:
         BusyError
             When the same bytes were deleted at this moment.
         """
-        with self._named(upload), self.database.writing() as session:
+        with self.uploads.named(upload), self.database.writing() as session:
             kept, _ = self._put_measurement(session, upload, name, told or Told(), summary)
             if also is not None:
                 also(session, kept.id)
@@ -245,7 +164,7 @@ class Store:
         self, upload: Upload, name: str, told: Told, summary: Mapping[str, Any], diagnosis: NewDiagnosis
     ) -> DiagnosisRow:
         """Store a measurement and a diagnosis of it in one transaction, as one call after the other would."""
-        with self._named(upload), self.database.writing() as session:
+        with self.uploads.named(upload), self.database.writing() as session:
             _, new = self._put_measurement(session, upload, name, told, summary)
             if not new:  # what nobody else knows yet, nobody has deleted
                 refuse_deleted(session, "measurement", [diagnosis.measurement])

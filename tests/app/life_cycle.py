@@ -24,11 +24,11 @@ CONTENT = b"t,s1-x\n0,1\n"
 
 
 def stored(store: Store, content: bytes = CONTENT, name: str = "a.csv") -> MeasurementRow:
-    upload = store.receive(io.BytesIO(content))
+    upload = store.uploads.receive(io.BytesIO(content))
     try:
         return store.add_measurement(upload, name, None, SUMMARY)
     finally:
-        store.settle(upload)
+        store.uploads.settle(upload)
 
 
 def diagnosed(store: Store, *measurements: MeasurementRow, asset: str | None = None, catalogue: str = "c") -> str:

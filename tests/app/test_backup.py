@@ -167,7 +167,7 @@ class Kept:
 
     def add(self, store: Store, count: int) -> None:
         for _ in range(count):
-            upload = store.receive(io.BytesIO(bytes([len(self.rows)]) * 1_000_000))
+            upload = store.uploads.receive(io.BytesIO(bytes([len(self.rows)]) * 1_000_000))
             self.rows.append(store.add_measurement(upload, "a.csv", None, {"channels": []}))
 
     def copy(self, name: str, last: str = "") -> dict[str, Any]:

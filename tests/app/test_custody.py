@@ -33,7 +33,7 @@ MACHINE = {"name": "m", "joints": {"B": {"kind": "turning"}}}
 
 def kept(store: Store, content: bytes = b"bytes", name: str = "a.csv") -> tuple[str, Path]:
     """The id of a stored measurement, and where its file lies."""
-    upload = store.receive(io.BytesIO(content))
+    upload = store.uploads.receive(io.BytesIO(content))
     row = store.add_measurement(upload, name, None, {"samples": 3})
     return row.id, store.path_of(row.sha256)
 

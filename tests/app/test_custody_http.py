@@ -263,7 +263,7 @@ def test_what_is_looked_through_in_the_background_is_counted(tmp_path: Path, wor
     import io
 
     with closing(Store(tmp_path)) as store:
-        upload = store.receive(io.BytesIO(worn))
+        upload = store.uploads.receive(io.BytesIO(worn))
         row = store.add_measurement(upload, "worn.csv", None, {})
         metrics = Metrics()
         asyncio.run(Scrubber(store, metrics, rate=1e9).look())

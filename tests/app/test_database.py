@@ -259,10 +259,10 @@ def test_an_upload_whose_measurement_was_not_stored_goes(store: Store) -> None:
     def fail(_session: object, _key: str) -> None:
         raise RuntimeError("the transaction fails")
 
-    upload = store.receive(io.BytesIO(b"bytes"))
+    upload = store.uploads.receive(io.BytesIO(b"bytes"))
     with pytest.raises(RuntimeError, match="transaction fails"):
         store.add_measurement(upload, "a.csv", None, {}, fail)
-    store.settle(upload)
+    store.uploads.settle(upload)
     assert not upload.path.exists()
 
 

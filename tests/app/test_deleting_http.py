@@ -193,7 +193,7 @@ def test_a_quota_of_a_key(tmp_path: Path, worn: bytes) -> None:
 def test_the_command_says_and_does_what_the_service_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with closing(Store(tmp_path / "data")) as store:
         kept = [
-            store.add_measurement(store.receive(io.BytesIO(bytes([k]) * 2_000_000)), "a.csv", None, {})
+            store.add_measurement(store.uploads.receive(io.BytesIO(bytes([k]) * 2_000_000)), "a.csv", None, {})
             for k in range(2)
         ]
         with store.database.writing() as session:

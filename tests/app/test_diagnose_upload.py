@@ -54,14 +54,14 @@ def service_of(shelf: Path, data: Path, pool: Here) -> Service:
 
 
 def ask(service: Service, content: bytes, **members: Any) -> DiagnosisRow:
-    upload = service.store.receive(io.BytesIO(content))
+    upload = service.store.uploads.receive(io.BytesIO(content))
     key = measurement_key(upload.sha256, "worn.csv", Told())
     question = {"catalogue": "slider-crank", "effort": "fast", "measurement": key, **members}
     try:
         request = DiagnosisRequest.model_validate(question)
         return asyncio.run(service.diagnose_upload(upload, "worn.csv", Told(), request))
     finally:
-        service.store.settle(upload)
+        service.store.uploads.settle(upload)
 
 
 def kept(service: Service) -> int:

@@ -55,7 +55,7 @@ def test_a_full_database_is_told_and_recovers(tmp_path: Path) -> None:
     store = Store(tmp_path)
 
     def add(name: str) -> None:
-        upload = store.receive(io.BytesIO(name.encode()))
+        upload = store.uploads.receive(io.BytesIO(name.encode()))
         store.add_measurement(upload, name, None, {"text": "x" * 1_000_000})
 
     with store.database.engine.connect() as connection:
@@ -98,7 +98,7 @@ def test_what_is_acknowledged_was_synced_and_then_committed(tmp_path: Path, monk
 
     monkeypatch.setattr(os, "fsync", noted)
     event.listen(store.database.engine, "commit", lambda _connection: seen.append("commit"))
-    store.add_measurement(store.receive(io.BytesIO(b"bytes")), "a.csv", None, {})
+    store.add_measurement(store.uploads.receive(io.BytesIO(b"bytes")), "a.csv", None, {})
     assert seen == ["file unnamed", "folder unnamed", "folder named", "commit"]
     with store.database.engine.connect() as connection:
         assert connection.scalar(text("PRAGMA synchronous")) == 2  # FULL: a commit waits for the disk

@@ -199,12 +199,12 @@ def test_an_asset_that_is_deleted_while_something_works_for_it(store: Store) -> 
         assets.own("press-7", row.id)
     with pytest.raises(UnknownAssetError, match=gone), store.database.writing() as session:
         assets.note(session, "press-7", [], key)
-    upload = store.receive(io.BytesIO(b"late"))
+    upload = store.uploads.receive(io.BytesIO(b"late"))
     with pytest.raises(UnknownAssetError, match=gone):
         store.add_measurement(
             upload, "late.csv", None, SUMMARY, lambda session, made: assets.own_in(session, "press-7", made)
         )
-    store.settle(upload)
+    store.uploads.settle(upload)
     assert files(store) == {row.sha256}
 
 

@@ -133,7 +133,7 @@ def test_tables_of_version_1_in_any_database(store: Store) -> None:
 def test_a_backup_brings_it_back(tmp_path: Path) -> None:
     place = Place(tmp_path / "data", tmp_path / "shelf", "")
     with closing(Store(place.data)) as store:
-        kept = store.add_measurement(store.receive(io.BytesIO(b"bytes")), "a.csv", Told(measured_at=AT), {})
+        kept = store.add_measurement(store.uploads.receive(io.BytesIO(b"bytes")), "a.csv", Told(measured_at=AT), {})
     back_up(place, tmp_path / "backup")
     other = Place(tmp_path / "other", tmp_path / "shelf-2", "")
     restore(tmp_path / "backup", other)
@@ -145,7 +145,7 @@ def test_a_backup_brings_it_back(tmp_path: Path) -> None:
 def test_a_backup_of_version_1_is_brought_up_to_date(tmp_path: Path) -> None:
     place = Place(tmp_path / "data", tmp_path / "shelf", "")
     with closing(Store(place.data)) as store:
-        kept = store.add_measurement(store.receive(io.BytesIO(b"bytes")), "a.csv", None, {})
+        kept = store.add_measurement(store.uploads.receive(io.BytesIO(b"bytes")), "a.csv", None, {})
     back_up(place, tmp_path / "backup")
     (tmp_path / "backup" / ROWS).unlink()
     of_version_1(tmp_path / "backup" / ROWS, kept.sha256)

@@ -75,21 +75,21 @@ def test_a_refused_form_leaves_no_file(
 @pytest.mark.parametrize("stored_first", [False, True])
 def test_one_server_refuses_what_another_keeps(tmp_path: Path, url: str, stored_first: bool) -> None:
     one, other = Store(tmp_path, url), Store(tmp_path, url)
-    refused, kept = one.receive(io.BytesIO(b"bytes")), other.receive(io.BytesIO(b"bytes"))
+    refused, kept = one.uploads.receive(io.BytesIO(b"bytes")), other.uploads.receive(io.BytesIO(b"bytes"))
     place = one.path_of(kept.sha256)
     if stored_first:
         other.add_measurement(kept, "kept.csv", None, {})
-        one.settle(refused)
+        one.uploads.settle(refused)
     else:
-        one.settle(refused)
+        one.uploads.settle(refused)
         assert kept.path.read_bytes() == b"bytes"
         other.add_measurement(kept, "kept.csv", None, {})
-    other.settle(kept)
+    other.uploads.settle(kept)
     assert place.read_bytes() == b"bytes"
     assert [path.name for path in (tmp_path / "measurements").rglob("*") if path.is_file()] == [place.name]
-    again = one.receive(io.BytesIO(b"bytes"))
+    again = one.uploads.receive(io.BytesIO(b"bytes"))
     assert one.add_measurement(again, "kept.csv", None, {}).id == one.measurements(None, 2)[0].id
-    one.settle(again)
+    one.uploads.settle(again)
     assert place.read_bytes() == b"bytes"
     for store in (one, other):
         store.close()

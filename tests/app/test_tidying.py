@@ -105,10 +105,10 @@ def test_assets_and_kept_answers_are_touched_once_for_a_batch(store: Store) -> N
 
 def test_what_killed_servers_left_is_tidied_while_others_run(store: Store) -> None:
     row = stored(store)
-    late = store.receive(io.BytesIO(b"sending"))  # killed here: the bytes have no name yet
-    named = store.receive(io.BytesIO(b"named"))
-    store._name(named)  # and here: they have it, but no row
-    young = store.receive(io.BytesIO(b"young"))
+    late = store.uploads.receive(io.BytesIO(b"sending"))  # killed here: the bytes have no name yet
+    named = store.uploads.receive(io.BytesIO(b"named"))
+    store.uploads._name(named)  # and here: they have it, but no row
+    young = store.uploads.receive(io.BytesIO(b"young"))
     old = time.time() - ABANDONED_S - 60
     for path in (late.path, store.path_of(named.sha256), store.path_of(row.sha256)):
         os.utime(path, (old, old))
@@ -180,7 +180,7 @@ def test_what_was_put_aside_comes_back_with_its_row(store: Store) -> None:
 
 
 def test_what_fails_keeps_nothing_else_from_going(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
-    late = store.receive(io.BytesIO(b"sending"))
+    late = store.uploads.receive(io.BytesIO(b"sending"))
     os.utime(late.path, (0, 0))
 
     def fail(*_: object, **__: object) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from jointplay.app.storage.store import Store, Upload
+from jointplay.app.storage.store import Store
+from jointplay.app.storage.uploads import Upload
 
 SHA256 = "a" * 64
 SIZE = 5_000_000_000
