@@ -200,10 +200,12 @@ def send(taken: Taken, private: bool) -> None:
         connection.request("POST", target, body, headers)
         answer = connection.getresponse()
         if connection.expired:
-            raise NotDeliveredError(f"took longer than {DEADLINE_S:g} s")
+            raise TimeoutError
         if not 200 <= answer.status < 300:
             raise NotDeliveredError(f"answered {answer.status}")
     except (OSError, http.client.HTTPException, ValueError) as error:
+        if connection.expired:  # whatever the end of a connection looks like to who reads from it
+            raise NotDeliveredError(f"took longer than {DEADLINE_S:g} s") from None
         raise NotDeliveredError(f"{type(error).__name__}: {' '.join(str(error).split())}") from None
     finally:
         deadline.cancel()

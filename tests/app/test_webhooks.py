@@ -132,6 +132,18 @@ def test_a_delivery_outlives_its_server(url: str, tmp_path: Path, listener: List
     second.close()
 
 
+def test_a_connection_that_was_cut_took_too_long_however_that_shows(monkeypatch: pytest.MonkeyPatch) -> None:
+    def reset(connection: webhook_sender.GuardedConnection) -> None:
+        connection.cut()
+        raise ConnectionResetError(104, "Connection reset by peer")
+
+    monkeypatch.setattr(webhook_sender.GuardedConnection, "getresponse", reset)
+    monkeypatch.setattr(webhook_sender.GuardedConnection, "request", lambda *_: None)
+    taken = Taken("1", "http://127.0.0.1:9/", "whsec_c2VjcmV0", "finding.created", "{}", 1)
+    with pytest.raises(NotDeliveredError, match=r"took longer than 30 s"):
+        webhook_sender.send(taken, private=True)
+
+
 def test_whoever_answers_without_end_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(webhook_sender, "DEADLINE_S", 0.3)
     with socket.create_server(("127.0.0.1", 0)) as listening:
