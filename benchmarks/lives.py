@@ -3,8 +3,9 @@
     PYTHONPATH=tests python -m second_simulator --protocol lives --machine slider-crank --count 180 --out recordings
     python -m benchmarks.lives recordings --catalogues DIR [--answers answers.jsonl]
 
-Every recording is diagnosed by itself; answers are kept in a file, one a line, so that judging again costs little and
-what was broken off goes on. Figures are those of `jointplay evaluate --protocol lives`.
+Every recording is diagnosed by itself, and beside the first ones of its machine; answers are kept in a file, one a
+line, so that judging again costs little and what was broken off goes on. Figures are those of `jointplay evaluate
+--protocol lives`.
 """
 
 from __future__ import annotations
@@ -24,9 +25,11 @@ from jointplay.catalogue.diagnosing.answer import Diagnosis, Evidence
 from jointplay.catalogue.diagnosing.diagnosis import diagnose
 from jointplay.catalogue.errors import CatalogueError
 from jointplay.catalogue.evaluation.life_figures import Life, LifeVisit, figures_of_lives, judge_life
+from jointplay.catalogue.evaluation.lives import BASELINES
 from jointplay.catalogue.following.play import bounds_of
 from jointplay.catalogue.following.visits import Inspection
 from jointplay.catalogue.measurements.measured_spectrum import read_recording
+from jointplay.catalogue.measurements.measurement import read_measurement
 from jointplay.catalogue.storage.store import Catalogue
 
 UM = 1e-6
@@ -49,9 +52,11 @@ def told(folder: Path, catalogues: Path, kept: Path, only: str) -> Iterator[tupl
         lives: dict[int, list[str]] = defaultdict(list)
         with kept.open("a") as out:
             for name in names:
-                lives[truths[name]["life"]["number"]].append(name)
+                own = lives[truths[name]["life"]["number"]]
+                own.append(name)
                 if name not in answers:
-                    answers[name] = _diagnose(name, next(folder.rglob(f"{name}.npz")), catalogue)
+                    first = [next(folder.rglob(f"{each}.npz")) for each in own[:BASELINES] if each != name]
+                    answers[name] = _diagnose(name, next(folder.rglob(f"{name}.npz")), first, catalogue)
                     print(json.dumps(answers[name]), file=out, flush=True)
         yield (
             catalogue,
@@ -67,15 +72,18 @@ def _place(truth: Mapping[str, Any]) -> tuple[int, int]:
     return (truth["life"]["number"], truth["life"]["visit"]) if "life" in truth else (0, 0)
 
 
-def _diagnose(name: str, file: Path, catalogue: Catalogue) -> dict[str, Any]:
-    """One line: name, checksum, seconds, and the answer without its evidence, or why there is none."""
+def _diagnose(name: str, file: Path, first: list[Path], catalogue: Catalogue) -> dict[str, Any]:
+    """One line: name, checksum, seconds, and the answers without their evidence, or why there is none."""
     began = time.perf_counter()
     found: dict[str, Any]
     recording = read_recording(file)
+    baseline = [read_measurement(each) for each in first]
     try:
-        answer = diagnose(recording, catalogue)
+        alone = diagnose(recording, catalogue)
+        answer = diagnose(recording, catalogue, baseline=baseline) if baseline else alone
         found = {
-            "answer": answer.model_copy(update={"evidence": Evidence(orders=(), bands=())}).model_dump(mode="json")
+            what: each.model_copy(update={"evidence": Evidence(orders=(), bands=())}).model_dump(mode="json")
+            for what, each in (("answer", answer), ("alone", alone))
         }
     except CatalogueError as error:
         found = {"answer": None, "refusal": str(error)}
@@ -96,6 +104,7 @@ def _life(name: str, truths: list[Mapping[str, Any]], answers: list[Mapping[str,
                 clearances={joint: UM * um for joint, um in truth["clearances_um"].items()},
                 answer=None if said["answer"] is None else Diagnosis.model_validate(said["answer"]),
                 arrivals=tuple(life["arrivals"]),
+                alone=None if said["answer"] is None else Diagnosis.model_validate(said["alone"]),
             )
         )
         if life["repaired"]:

@@ -38,6 +38,9 @@ STARTING_S = 6.0
 TRAINING_S = 2.5e-5
 """Processor time of a recording in a pass of a network's training; making it takes as long."""
 
+BESIDE_PAST = 2.0
+"""The same of networks that hear two recordings, as a factor: they have twice the inputs."""
+
 
 @dataclass(frozen=True)
 class Forecast:
@@ -184,10 +187,14 @@ def _some_of(chunks: Sequence[Chunk], place: float) -> Chunk:
 
 
 def _networks(plan: Plan, machine: Machine, cases: int) -> list[float]:
-    """Seconds of training each network: of both modes, and of strata where there are two; none of too few cases."""
+    """Seconds of training each network: of both modes, beside a machine's past, too, and of strata where there are two.
+
+    None of too few cases.
+    """
     training, counts = NetworkTraining(), [each.count for each in sequences_of(plan, machine) if each.hypothesis.joints]
     if min(counts, default=0) < training.least_cases:
         return []
     own = min(training.rows, CASE_ROWS * cases // len(plan.speeds)) * (1 + sum(training.epochs))
     strata = training.rows * (1 + sum(training.strata_epochs)) if plan.wide.draws else 0
-    return [TRAINING_S * each for each in (own, own, strata) if each] * len(plan.speeds)
+    since = BESIDE_PAST * own if plan.draws.again else 0
+    return [TRAINING_S * each for each in (own, own, since, since, strata) if each] * len(plan.speeds)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 
 from jointplay.catalogue.matching.coherence import common_noise, pairs_of
@@ -42,6 +45,33 @@ def features_of(prepared: PreparedMeasurement, sensing: Sensing) -> FloatArray:
         cyclic = sensing.cyclic.chosen(prepared.group_cyclic[None])
     found: FloatArray = sensing.features(prepared.group_power[None] + missing, cross, cyclic)[0]
     return found
+
+
+def beside_past(
+    prepared: PreparedMeasurement, past: Sequence[PreparedMeasurement]
+) -> tuple[Sensing, FloatArray] | None:
+    """Return how a recording and earlier ones of the machine see entries, and the features (d,) of it and of them.
+
+    With the loudest noise and the shortest length of all; earlier ones count by their mean. None where no other is by
+    the same sensors in the same bands.
+    """
+    before = [each for each in past if _view(each) == _view(prepared) and not each.flaws]
+    if not before:
+        return None
+    every = [exact_sensing(each) for each in (prepared, *before)]
+    sensing = replace(
+        every[0],
+        noise=np.max([each.noise for each in every], axis=0),
+        degrees_of_freedom=np.min([each.degrees_of_freedom for each in every], axis=0),
+    )
+    mean: FloatArray = np.mean([features_of(each, sensing) for each in before], axis=0)
+    return replace(sensing, past=True), np.concatenate([features_of(prepared, sensing), mean])
+
+
+def _view(prepared: PreparedMeasurement) -> tuple[object, ...]:
+    """What recordings have to have in common for their features to be compared one by one."""
+    sensing = prepared.sensing
+    return sensing.sensors, sensing.compared, sensing.phases, prepared.cuts
 
 
 def watched_levels(prepared: PreparedMeasurement) -> BoolArray:

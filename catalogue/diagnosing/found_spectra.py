@@ -72,6 +72,10 @@ class FoundSpectra:
         """Each case is of a machine of its own."""
         return rows
 
+    def in_order(self, rows: IntArray) -> IntArray:
+        """None of them was simulated in order."""
+        return np.full(len(rows), -1)
+
     def packed(self, rows: IntArray) -> FloatArray:
         """Spectra of rows, (m, G, 33)."""
         return self.spectra[rows]

@@ -20,7 +20,8 @@ from scipy.special import expit
 
 from jointplay.catalogue.diagnosing.causes import LEAST_GAIN, NamedCause
 from jointplay.catalogue.diagnosing.comparison import exact_sensing, features_of
-from jointplay.catalogue.matching.observation import Discrepancy, Sensing, observe
+from jointplay.catalogue.matching.discrepancy import Discrepancy
+from jointplay.catalogue.matching.observation import Sensing, observe
 from jointplay.catalogue.matching.transfer import RandomTransfer
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.signals.suspension import on_mounts

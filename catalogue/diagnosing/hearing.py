@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
 from jointplay.catalogue.diagnosing.answer import EffortSpent, Verdict
 from jointplay.catalogue.diagnosing.as_found import refine
 from jointplay.catalogue.diagnosing.causes import NamedCause
-from jointplay.catalogue.diagnosing.comparison import exact_sensing, features_of, watched_levels
+from jointplay.catalogue.diagnosing.comparison import beside_past, exact_sensing, features_of, watched_levels
 from jointplay.catalogue.diagnosing.known_machine import KnownMachine
 from jointplay.catalogue.diagnosing.past import PastComparison, compare_with_past
 from jointplay.catalogue.diagnosing.question import Question
@@ -77,22 +78,31 @@ def hear(
     """Return what a recording says that has been prepared; arguments as for
     :func:`~jointplay.catalogue.diagnosing.diagnosis.answer`.
     """
-    weights, past, p_since = None, None, 1.0
+    weights, past = None, None
+    earlier: list[PreparedMeasurement] = []
+    before: list[PreparedMeasurement] = []
     if known:
         if not prepared.flaws:
             with one_thread():
                 past = compare_with_past(prepared, known.past, catalogue)
-        p_since = past.p_value if past else 1.0
+        earlier = [known.baseline.correct(each, catalogue.machine) for each in known.past]
+        if library.hears_past(exact_sensing(prepared), prepared.drive_speed):
+            speed = catalogue.matrix.nearest_speed(prepared.drive_speed)
+            before = [each for each in earlier if catalogue.matrix.nearest_speed(each.drive_speed) == speed]
         prepared = known.baseline.correct(prepared, catalogue.machine)
         # A recording that was converted is of the machine file's frame and supports: no entries are nearer to it.
-        if all(step.name != "suspension" for step in prepared.steps):
+        if not before and all(step.name != "suspension" for step in prepared.steps):
             weights = known.weights(catalogue)
-    look = partial(_match, catalogue=catalogue, library=library, question=question, without=without, most=most)
+    p_since = past.p_value if past else None
+    is_otherwise = p_since is not None and p_since < OTHERWISE_BELOW
+    look = partial(
+        _match, before=before, catalogue=catalogue, library=library, question=question, without=without, most=most
+    )
     sensing, feature, result = look(prepared, weights)
     causes: tuple[NamedCause, ...] = ()
-    if not prepared.flaws and (question.effort != "fast" or needs_cause(result) or p_since < OTHERWISE_BELOW):
+    if not prepared.flaws and (question.effort != "fast" or needs_cause(result) or is_otherwise):
         with one_thread():
-            causes = find_causes(prepared, catalogue, result, past)
+            causes = find_causes(prepared, catalogue, result, past, earlier)
     p_value, verdict = judge(result, question.coverage, causes, prepared.flaws, p_since)
     if causes and causes[0].suspension:
         # Seen as if its frame stood as the file says, a machine shows whether it is worn as well.
@@ -140,18 +150,20 @@ def _match(
     prepared: PreparedMeasurement,
     weights: FloatArray | None,
     *,
+    before: Sequence[PreparedMeasurement],
     catalogue: Catalogue,
     library: ModelLibrary,
     question: Question,
     without: tuple[str, ...],
     most: int | None,
 ) -> tuple[Sensing, FloatArray, MatchResult]:
-    """How a recording is seen, its features, and what the catalogue says of them."""
+    """How a recording is seen, its features, and what the catalogue says of them beside those of the machine before."""
     sensing = exact_sensing(prepared)
     feature = features_of(prepared, sensing)
+    asked, shown = beside_past(prepared, before) or (sensing, feature)
     result = library.answer(
-        sensing,
-        feature,
+        asked,
+        shown,
         watched_levels(prepared),
         question.effort,
         question.mode,

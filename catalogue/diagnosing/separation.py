@@ -19,8 +19,9 @@ from scipy.special import log_softmax, ndtr, ndtri
 
 from jointplay.catalogue.diagnosing.answer import Suggestion
 from jointplay.catalogue.diagnosing.comparison import LEAST_NOISE_DENSITY, exact_sensing
+from jointplay.catalogue.matching.discrepancy import Discrepancy
 from jointplay.catalogue.matching.matcher import HypothesisMatch, MatchResult
-from jointplay.catalogue.matching.observation import Discrepancy, Sensing, observe
+from jointplay.catalogue.matching.observation import Sensing, observe
 from jointplay.catalogue.matching.together import Likeness
 from jointplay.catalogue.signals.feature_bands import join_bands
 from jointplay.catalogue.signals.prepared import PreparedMeasurement

@@ -132,7 +132,8 @@ def conclude(
     causes = _causes(used)
     flaws = used[0].prepared.flaws if all(each.prepared.flaws for each in used) else ()
     # The least of several p-values, by Bonferroni's bound.
-    p_since = min(1.0, len(used) * min(each.past.p_value if each.past else 1.0 for each in used))
+    since = [each.past.p_value for each in used if each.past]
+    p_since = min(1.0, len(used) * min(since)) if since else None
     p_value, verdict = judge(joined.result, question.coverage, causes, flaws, p_since)
     is_sure = verdict == "worn" and joined.result.p_worn >= SURE_ABOVE
     changed = 2 * sum(each.verdict == "changed" for each in used) - len(used)

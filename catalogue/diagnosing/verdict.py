@@ -53,7 +53,7 @@ def judge(
     coverage: float,
     causes: Sequence[NamedCause] = (),
     flaws: Sequence[SensorContradiction] = (),
-    p_since: float = 1.0,
+    p_since: float | None = None,
 ) -> tuple[float, Verdict]:
     """Return the p-value of the explanation, and the verdict.
 
@@ -64,16 +64,19 @@ def judge(
     order either, and neither is one that is not as it was: beside its own past it has a p-value `p_since` below
     :data:`OTHERWISE_BELOW`, or a cause explains the difference. What is neither nearly surely worn, nor in order rather
     than not, is unknown where the machine is doubted. So is what sensors say that are not what the file says of them.
+    A machine that is as it was when it was in order, `p_since` no less than that, is as it was whatever its file says:
+    if no wear is likelier than none, it is in order.
     """
     p_value = result.p_value_within(coverage)
     if flaws:
         return p_value, "unknown"
-    explained = p_value >= UNKNOWN_BELOW and bool(result.set(coverage).labels)
     in_order = result.p_worn <= 0.5
+    as_before = p_since is not None and p_since >= OTHERWISE_BELOW
+    explained = (p_value >= UNKNOWN_BELOW and bool(result.set(coverage).labels)) or (as_before and in_order)
     trusted = 1.0 if result.trusted_p_value is None else result.trusted_p_value
     is_worn = result.p_worn >= SURE_ABOVE if trusted < DOUBTED_BELOW else not in_order and bool(result.best.joints)
     found = bool(causes) and causes[0].probability >= NAMED_ABOVE
-    if needs_cause(result):
+    if needs_cause(result) and not as_before:
         if explained and is_worn and not found and p_value >= SURE_P_VALUE:
             return p_value, "worn"
         return p_value, "changed" if explained or found else "unknown"
@@ -83,29 +86,37 @@ def judge(
         return p_value, "unknown"
     if not in_order:
         return p_value, "worn"
-    was_otherwise = p_since < OTHERWISE_BELOW or any(cause.since for cause in causes)
+    was_otherwise = (p_since is not None and not as_before) or any(cause.since for cause in causes)
     return p_value, "changed" if was_otherwise else "in_order"
 
 
 def find_causes(
-    prepared: PreparedMeasurement, catalogue: Catalogue, result: MatchResult, past: PastComparison | None = None
+    prepared: PreparedMeasurement,
+    catalogue: Catalogue,
+    result: MatchResult,
+    past: PastComparison | None = None,
+    earlier: Sequence[PreparedMeasurement] = (),
 ) -> tuple[NamedCause, ...]:
     """Return the causes other than play that may be, beside wear as the recording seems to have it or without any.
 
-    What has changed since recordings of the machine in order is told by these, if it explains the difference. At a
-    speed that the catalogue has not seen every level is off, and what explains that best is no cause.
+    What has changed since recordings of the machine in order is told by these, if it explains the difference; what one
+    of these `earlier` ones would be told to have is none, the machine has always had it. At a speed that the catalogue
+    has not seen every level is off, and what explains that best is no cause.
     """
     if speed_warnings(prepared, catalogue):
         return ()
     if past is not None and result.p_worn <= 0.5:
         if changes := name_changes(past.expected, catalogue):
             return changes
-        if past.p_value >= AS_BEFORE and not needs_cause(result):
-            # What tells it from other machines it had when it was in order.
+        if past.p_value >= (OTHERWISE_BELOW if needs_cause(result) else AS_BEFORE):
+            # What tells it from other machines, or from its file, it had when it was in order.
             return ()
     speed = prepared.drive_speed
     worn = [(match.label, _nearest(catalogue, match, speed)) for match in result.hypotheses[:1] if match.joints]
     found = name_causes(prepared, catalogue, worn, small=needs_cause(result))
+    if found and earlier:
+        had = {cause.name for each in earlier for cause in name_causes(each, catalogue, small=True)}
+        found = tuple(cause for cause in found if cause.name not in had)
     # Beside wear it has not been measured.
     mode = None if found or worn else find_mode(prepared, catalogue)
     return (mode,) if mode else found

@@ -40,6 +40,8 @@ class LifeVisit:
         None where the recording was refused.
     arrivals : tuple of int
         Places in the order in which files came: one, or more where it came again.
+    alone : Answer, optional
+        By the recording alone, without what is known of the machine; the same unless given.
     """
 
     at: datetime
@@ -47,6 +49,7 @@ class LifeVisit:
     clearances: Mapping[str, float]
     answer: Answer | None
     arrivals: tuple[int, ...]
+    alone: Answer | None = None
 
 
 @dataclass(frozen=True)
@@ -166,10 +169,9 @@ def _judge_visits(
     """Intervals, log-loss, and what joints that are not worn look like."""
     fresh = {(life.visits[place].at, joint) for place, joint in life.repairs}
     for place, visit in enumerate(heard):
-        assert visit.answer is not None
         highest = {"filter": 0.0, "single": 0.0}
         for joint, limits in bounds.items():
-            point, alone = state.joints[joint].course[place], visit.answer.joints[joint]
+            point, alone = state.joints[joint].course[place], _alone(visit).joints[joint]
             clearance = visit.clearances[joint]
             is_worn = _is_worn(clearance, limits)
             if is_worn is None:
@@ -207,14 +209,15 @@ def _judge_growth(
             continue
         true = np.array([heard[place].clearances[joint] for place in places])
         by_filter = np.array([state.joints[joint].course[place].p_worn for place in places])
-        alone = np.array([_answer(heard[place]).joints[joint].p_worn for place in places])
+        alone = np.array([_alone(heard[place]).joints[joint].p_worn for place in places])
         judged.growing["filter"].append((by_filter, true))
         judged.growing["single"].append((alone, true))
 
 
-def _answer(visit: LifeVisit) -> Answer:
-    assert visit.answer is not None
-    return visit.answer
+def _alone(visit: LifeVisit) -> Answer:
+    found = visit.alone or visit.answer
+    assert found is not None
+    return found
 
 
 def _judge_end(
@@ -223,7 +226,7 @@ def _judge_end(
     """Which joints are worn at the last visit, and what else is the matter."""
     true = {joint: _is_worn(last.clearances[joint], limits) for joint, limits in bounds.items()}
     by_filter = {joint: state.joints[joint].p_worn for joint in bounds}
-    alone = {joint: _answer(last).joints[joint].p_worn for joint in bounds}
+    alone = {joint: _alone(last).joints[joint].p_worn for joint in bounds}
     for name, said in (("filter", by_filter), ("single answer", alone)):
         right = all(true[joint] in (None, p_worn >= 0.5) for joint, p_worn in said.items())
         judged.count(f"worn joints exactly right at the last visit: {name}", right)

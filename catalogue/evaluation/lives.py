@@ -21,6 +21,7 @@ from jointplay.catalogue.evaluation.recordings import Recordings, recorded
 from jointplay.catalogue.evaluation.truth import Truth
 from jointplay.catalogue.following.play import bounds_of
 from jointplay.catalogue.following.visits import Inspection
+from jointplay.catalogue.measurements.measurement import Recording
 from jointplay.catalogue.plans.driving import at_speed, nominal_drive_speed
 from jointplay.catalogue.plans.entry import Hypothesis, seed_from
 from jointplay.catalogue.storage.store import Catalogue
@@ -31,6 +32,9 @@ from jointplay.solver.machines.parts import Mount
 NAME = "lives"
 VISITS = 30
 """Recordings of a machine."""
+
+BASELINES = 3
+"""Recordings that all others are compared with, the first ones: what is done when a machine is taken into service."""
 
 _DAYS = 1095.0
 _WORN = (1, 2, 0, 3, 1)
@@ -120,10 +124,16 @@ def evaluate_lives(
     judged = []
     for number in range(1, count + 1):
         drawn = draw_life(machine, seed, number)
-        visits = list(drawn.life.visits)
-        for place, signal in kept.ideal(_PROTOCOL, drawn.truths):
-            if signal is not None:
-                visits[place] = _heard(visits[place], drawn.truths[place], signal, catalogue)
+        signals = dict(kept.ideal(_PROTOCOL, drawn.truths))
+        made = [
+            None if (signal := signals[place]) is None else recorded(_PROTOCOL, truth, signal)
+            for place, truth in enumerate(drawn.truths)
+        ]
+        past = [each for each in made[:BASELINES] if each is not None]
+        visits = [
+            visit if recording is None else _heard(visit, recording, past, catalogue)
+            for visit, recording in zip(drawn.life.visits, made, strict=True)
+        ]
         judged.append(judge_life(replace(drawn.life, visits=tuple(visits)), bounds))
         if progress is not None:
             progress(number * VISITS, count * VISITS)
@@ -133,13 +143,15 @@ def evaluate_lives(
     return LifeStudy(machine.name, catalogue.id, seed, count, figures)
 
 
-def _heard(visit: LifeVisit, truth: Truth, signal: FloatArray, catalogue: Catalogue) -> LifeVisit:
-    """The visit with its answer; as it was where the recording is refused."""
+def _heard(visit: LifeVisit, recording: Recording, past: Sequence[Recording], catalogue: Catalogue) -> LifeVisit:
+    """The visit with its answers, beside earlier recordings and alone; as it was where the recording is refused."""
+    before = [each for each in past if each.sha256 != recording.sha256]
     try:
-        recording = recorded(_PROTOCOL, truth, signal)
-        return replace(visit, sha256=recording.sha256, answer=diagnose(recording, catalogue))
+        alone = diagnose(recording, catalogue)
+        answer = diagnose(recording, catalogue, baseline=before) if before else alone
     except MeasurementError:
         return visit
+    return replace(visit, sha256=recording.sha256, answer=answer, alone=alone)
 
 
 def draw_life(machine: Machine, seed: int, number: int) -> DrawnLife:

@@ -11,9 +11,10 @@ from typing import Literal, Protocol, Self
 import numpy as np
 
 from jointplay.catalogue.errors import DiagnosisError
+from jointplay.catalogue.matching.discrepancy import Discrepancy
 from jointplay.catalogue.matching.matcher import DrawnFeatures, TrainingSet
 from jointplay.catalogue.matching.modes import Mode
-from jointplay.catalogue.matching.observation import Discrepancy, PackedArray, Sensing, observe
+from jointplay.catalogue.matching.observation import PackedArray, Sensing, observe
 from jointplay.catalogue.matching.prior import Prior
 from jointplay.catalogue.matching.transfer import RandomTransfer
 from jointplay.catalogue.plans.entry import Hypothesis, Stratum
@@ -63,6 +64,9 @@ class SpectraSource(Protocol):
     def individuals(self, rows: IntArray) -> IntArray:
         """Which machine each of some rows is of, (m,): entries at several speeds may be of one."""
 
+    def in_order(self, rows: IntArray) -> IntArray:
+        """Rows of the same machines in order on another day, (m,); -1 where there is none."""
+
     def packed(self, rows: IntArray) -> PackedArray:
         """Spectra of rows, (m, G, 33): :data:`jointplay.catalogue.storage.cross_power.COLUMNS`."""
 
@@ -100,8 +104,9 @@ class Learning:
         Hypotheses that are left out.
     seed : int
         Of everything drawn.
-    subject : {"hypotheses", "strata"}
-        What a network learns to tell apart: hypotheses, or machines that are as in their file from those that are not.
+    subject : {"hypotheses", "since", "strata"}
+        What a network learns to tell apart: hypotheses, by a recording alone or beside the machine's own past; or
+        machines that are as in their file from those that are not.
     """
 
     mode: Mode = "trusted"
@@ -112,7 +117,7 @@ class Learning:
     reach: int = field(default=8000, repr=False)
     without: tuple[str, ...] = ()
     seed: int = 0
-    subject: Literal["hypotheses", "strata"] = field(default="hypotheses", repr=False)
+    subject: Literal["hypotheses", "since", "strata"] = field(default="hypotheses", repr=False)
 
     @classmethod
     def of(cls, mode: Mode, *, without: tuple[str, ...] = (), most: int | None = None) -> Self:
@@ -184,18 +189,28 @@ def training_set(
     sets = []
     for known in hypotheses:
         chosen = rows_of(matrix, known.label, learning, speed) if rows is None else rows[known.label]
+        if sensing.past:
+            chosen = with_past(matrix, chosen)
         if len(chosen) < 3:
             raise DiagnosisError(f"catalogue: {len(chosen)} entries of hypothesis {known.label}: at least 3 needed")
         copies = np.full(len(chosen), math.ceil(learning.rows / len(chosen)), dtype=np.int64)
         # What is drawn for one hypothesis does not depend on which others there are.
         seed = (learning.seed, zlib.crc32(known.label.encode()))
-        features, entry = observe(matrix.packed(chosen), sensing, learning.discrepancy, copies, seed, edges_hz)
+        past = matrix.packed(matrix.in_order(chosen)) if sensing.past else None
+        features, entry = observe(
+            matrix.packed(chosen), sensing, learning.discrepancy, copies, seed, edges_hz, past=past
+        )
         weight = None if weights is None else weights[chosen[entry]]
         log_clearance = _log_clearance(matrix, known.joints, chosen)[entry]
         prior = Prior().weight(known.joints, len(matrix.joints), most)
         machine = matrix.individuals(chosen)[entry]
         sets.append(DrawnFeatures(known.label, known.joints, features, log_clearance, machine, prior, weight))
     return TrainingSet(tuple(sets), watched, sensing.plain_count)
+
+
+def with_past(matrix: SpectraSource, rows: IntArray) -> IntArray:
+    """Return those of some rows whose machines were simulated in order, too."""
+    return rows[matrix.in_order(rows) >= 0]
 
 
 def _log_clearance(matrix: SpectraSource, joints: Sequence[str], rows: IntArray) -> FloatArray:

@@ -15,7 +15,6 @@ from cachetools import LRUCache, cached
 from threadpoolctl import ThreadpoolController
 
 from jointplay.catalogue import FEATURES_VERSION, MATCHER_VERSION
-from jointplay.catalogue.matching.coherence import with_more_noise
 from jointplay.catalogue.matching.gaussian import NAME, FittedGaussian, fit_gaussian
 from jointplay.catalogue.matching.learning import Learning, SpectraSource, band_widths, training_set
 from jointplay.catalogue.matching.matcher import MatchResult, TrainingSet
@@ -133,6 +132,11 @@ class ModelLibrary:
             robust = self.match(observed, effort, Learning.of("robust", without=without, most=most))
         return blend(trusted, robust)
 
+    def hears_past(self, sensing: Sensing, speed: float) -> bool:
+        """Whether it has learned what machines differ by from their own past, as such sensors see it."""
+        since = replace(Learning.of("trusted"), subject="since")
+        return self._networks is not None and self._networks.get(sensing, since, speed) is not None
+
     def fit(
         self,
         observed: Observed,
@@ -211,10 +215,11 @@ class ModelLibrary:
         network, strata, notes = None, None, self.notes(learning)
         # Where entries have weights none counts: a network has learned all entries alike.
         if self._networks is not None and weights is None:
-            network = self._networks.get(sensing, learning, speed)
+            asked_of = replace(learning, subject="since") if sensing.past else learning
+            network = self._networks.get(sensing, asked_of, speed)
             if learning.mode == "trusted":
                 strata = self._networks.get(sensing, replace(learning, subject="strata"), speed)
-            if network is None and self._networks.applies(sensing, learning, speed):
+            if network is None and self._networks.applies(sensing, asked_of, speed):
                 notes = (*notes, "the catalogue's networks are not trained yet: building it again does that")
         model = self.fit(coarse, learning, network, strata)
         asked = model.opinion.network.digest if model.opinion else None
@@ -231,7 +236,7 @@ class ModelLibrary:
         """Return a recording with noise filled up to the next step, so that few models serve all recordings."""
         sensing = round_sensing(observed.sensing, band_widths(self._matrix), NOISE_STEP_DB)
         missing = np.maximum(sensing.noise - observed.sensing.noise, 0.0)
-        lifted: FloatArray = with_more_noise(observed.feature[None, :], missing, sensing.alike)[0]
+        lifted = sensing.with_more_noise(observed.feature[None, :], missing)[0]
         return replace(observed, sensing=sensing, feature=lifted)
 
     def notes(self, learning: Learning) -> tuple[str, ...]:

@@ -24,7 +24,7 @@ from threadpoolctl import threadpool_limits
 
 from jointplay.catalogue.matching.calibration import is_held_out
 from jointplay.catalogue.matching.coherence import with_more_noise
-from jointplay.catalogue.matching.learning import Learning, SpectraSource, rows_of
+from jointplay.catalogue.matching.learning import Learning, SpectraSource, rows_of, with_past
 from jointplay.catalogue.matching.observation import Sensing, observe
 from jointplay.catalogue.plans.entry import Hypothesis, Stratum
 from jointplay.solver.arrays import FloatArray, IntArray
@@ -69,10 +69,11 @@ class Network:
         lacking = self.quietest - float(np.mean(level))
         if float(np.mean(level)) > self.loudest:
             return None
+        heard = replace(sensing, past=sensing.own_count + len(level) < len(self.centre))
         if lacking <= 0.0:
-            return Opinion(self, level, np.zeros(noise.shape), sensing.alike)
+            return Opinion(self, level, np.zeros(noise.shape), heard.alike, heard.past)
         missing = noise * (10.0 ** (0.1 * lacking) - 1.0)
-        return Opinion(self, level + lacking, missing, sensing.alike)
+        return Opinion(self, level + lacking, missing, heard.alike, heard.past)
 
     @cached_property
     def digest(self) -> str:
@@ -105,17 +106,22 @@ class Opinion:
         Noise power that is added before features are shown to it.
     alike : ndarray, shape (p,)
         Correlation of the noise of pairs of channels.
+    past : bool
+        Whether it hears the machine's own past, too, which stands behind the features of the recording.
     """
 
     network: Network
     noise_db: FloatArray
     missing: FloatArray
     alike: FloatArray
+    past: bool = False
 
     def log_evidences(self, features: FloatArray, labels: Sequence[str]) -> FloatArray:
         """Return log likelihoods (m, labels), up to a constant of each row, of features (m, d)."""
         columns = [self.network.labels.index(label) for label in labels]
-        shown = with_more_noise(features, self.missing, self.alike)
+        heard = features[:, : len(self.network.centre) - len(self.noise_db)]
+        parts = np.split(heard, 2, axis=1) if self.past else [heard]
+        shown = np.hstack([with_more_noise(part, self.missing, self.alike) for part in parts])
         found: FloatArray = self.network.log_likelihoods(shown, self.noise_db)[:, columns]
         return found
 
@@ -241,6 +247,7 @@ class NetworkTraining:
         tell = progress or (lambda done, total: None)
         total = self.blocks + 10 * MEMBERS
         with threadpool_limits(limits=1, user_api="blas"):
+            sensing = replace(sensing, past=learning.subject == "since")
             pools = _pools(matrix, learning, speed)
             cases = len(np.unique(np.concatenate([rows for pool in pools for rows in pool])))
             count, penalty, epochs = min(self.rows, CASE_ROWS * cases), PENALTY / cases, self.epochs
@@ -249,6 +256,10 @@ class NetworkTraining:
             inputs, index, noise = self._recordings(
                 matrix, sensing, learning, pools, count, lambda done: tell(done, total)
             )
+            if sensing.past:
+                # What is learned from is the recording, and how it differs from those before.
+                own = sensing.own_count
+                inputs[:, own : 2 * own] = inputs[:, :own] - inputs[:, own : 2 * own]
             centre, scale = inputs.mean(axis=0), inputs.std(axis=0) + 1e-6
             # In place: of a machine with forty bands they are 0.6 GB.
             inputs -= centre
@@ -263,8 +274,15 @@ class NetworkTraining:
         if len(labels) == 2:
             # One output, the second hypothesis against the first.
             weights[-1], biases[-1] = np.c_[0.0 * weights[-1], weights[-1]], np.r_[0.0 * biases[-1], biases[-1]]
-        wide = (centre.astype(np.float64), scale.astype(np.float64))
-        return Network(labels, *wide, tuple(weights), tuple(biases), *noise)
+        centre, scale = centre.astype(np.float64), scale.astype(np.float64)
+        if sensing.past:
+            # The same of what it will be shown: the recording, and those before.
+            own, first = sensing.own_count, weights[0] / scale[:, None]
+            first[:own] += first[own : 2 * own]
+            first[own : 2 * own] *= -1.0
+            biases[0] = biases[0] - (centre / scale) @ weights[0]
+            weights[0], centre, scale = first, np.zeros_like(centre), np.ones_like(scale)
+        return Network(labels, centre, scale, tuple(weights), tuple(biases), *noise)
 
     def _recordings(
         self,
@@ -298,7 +316,10 @@ class NetworkTraining:
                 some = generator.choice(rows, share, replace=share > len(rows))
                 copies = np.ones(len(some), np.int64)
                 seed = (learning.seed, block, number)
-                features, _ = observe(matrix.packed(some), seen, learning.discrepancy, copies, seed, edges_hz)
+                past = matrix.packed(matrix.in_order(some)) if seen.past else None
+                features, _ = observe(
+                    matrix.packed(some), seen, learning.discrepancy, copies, seed, edges_hz, past=past
+                )
                 noise = np.broadcast_to(density_db(seen.noise, width), (len(features), len(own_db)))
                 inputs.append(np.concatenate([features, noise], axis=1).astype(np.float32))
                 index.append(np.full(len(features), number % 2 if learning.subject == "strata" else number))
@@ -357,8 +378,9 @@ def _classes(matrix: SpectraSource, learning: Learning, speed: float | None) -> 
     for known in matrix.hypotheses:
         if known.label in learning.without:
             continue
-        if learning.subject == "hypotheses":
-            found.append((known, rows_of(matrix, known.label, learning, speed)))
+        if learning.subject != "strata":
+            rows = rows_of(matrix, known.label, learning, speed)
+            found.append((known, with_past(matrix, rows) if learning.subject == "since" else rows))
             continue
         strata: tuple[Stratum, ...] = ("trusted", "wide")
         found += [(known, matrix.rows(known.label, each, draws=learning.most, speed=speed)) for each in strata]

@@ -1,4 +1,4 @@
-"""Networks of a catalogue, one for each mode and stored speed, kept as files.
+"""Networks of a catalogue, some for each mode and stored speed, kept as files.
 
 Training takes a minute, so it belongs to building a catalogue, and no diagnosis waits for it; and networks are for one
 set of sensors: those of the machine's file, recorded up to the end of the bands.
@@ -71,7 +71,10 @@ class NetworkShelf:
         """
         for mode in MODES:
             learning = Learning.of(mode, most=most)
-            for each in (learning, replace(learning, subject="strata")) if mode == "trusted" else (learning,):
+            others = [replace(learning, subject="since")]
+            if mode == "trusted":
+                others.append(replace(learning, subject="strata"))
+            for each in (learning, *others):
                 for factor in self._matrix.speeds:
                     speed = factor * self._matrix.nominal_speed
                     if self._applies(each, speed) and self._find(self._key(each, speed)) is None:

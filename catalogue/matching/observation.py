@@ -23,8 +23,9 @@ from jointplay.catalogue.matching.coherence import (
     noise_alike,
     pair_scale,
     pairs_of,
+    with_more_noise,
 )
-from jointplay.catalogue.matching.transfer import RandomTransfer
+from jointplay.catalogue.matching.discrepancy import Discrepancy
 from jointplay.catalogue.storage.cross_power import PACKED
 from jointplay.solver.arrays import ComplexArray, FloatArray, IntArray
 from jointplay.solver.spectra.band_power import CYCLES
@@ -32,77 +33,6 @@ from jointplay.solver.spectra.band_power import CYCLES
 PackedArray = NDArray[np.float32] | FloatArray
 
 _ABOVE = ((0, 1), (0, 2), (1, 2))
-
-
-@dataclass(frozen=True)
-class Discrepancy:
-    """What a model is known not to know.
-
-    Parameters
-    ----------
-    gain : float
-        Standard deviation of a sensor's gain error, relative.
-    level_db : float
-        Standard deviation of a smooth error of the levels, dB.
-    correlation : float
-        Bands over which that error keeps its sign (standard deviation of a Gaussian).
-    noise_level_db : float
-        Standard deviation of the error of a channel's noise floor, dB: floors of silent machines are right to 0.2 dB,
-        those of machines whose joints rattle are too high, by 1 dB in the middle and by 7 to 14 in one of ten.
-    rigid_level_db : float, optional
-        The same in bands up to the lowest flexible mode, where the machine is rigid; `level_db` unless given.
-    delay : float
-        Standard deviation of the time [s] that a channel lags behind the others: filters and multiplexers of loggers.
-    phase : float
-        Standard deviation [rad] of a smooth error of a channel's phase, as `level_db` is one of its level.
-    cyclic : float
-        Standard deviation of an error of the cyclic coherences, in either part.
-    transfer : RandomTransfer, optional
-        Flexible modes that the rigid machine does not have.
-    """
-
-    gain: float = 0.03
-    level_db: float = 1.0
-    correlation: float = 3.0
-    noise_level_db: float = 1.5
-    rigid_level_db: float | None = None
-    delay: float = 1e-5
-    phase: float = 0.1
-    cyclic: float = 0.05
-    transfer: RandomTransfer | None = None
-
-    def levels(
-        self, generator: np.random.Generator, shape: tuple[int, int, int], edges_hz: FloatArray | None = None
-    ) -> FloatArray:
-        """Draw smooth errors (n, bands, channels), dB; half of their variance is common to all channels."""
-        n, bands, channels = shape
-        factor = self._smooth(bands)
-        common = generator.normal(size=(n, 1, bands)) @ factor.T
-        own = generator.normal(size=(n, channels, bands)) @ factor.T
-        size = np.full(bands, self.level_db)
-        if self.rigid_level_db is not None and self.transfer is not None and edges_hz is not None:
-            size[np.asarray(edges_hz)[1 : bands + 1] <= self.transfer.frequency[0]] = self.rigid_level_db
-        drawn: FloatArray = size[:, None] * np.sqrt(0.5) * np.swapaxes(common + own, 1, 2)
-        return drawn
-
-    def turns(
-        self, generator: np.random.Generator, shape: tuple[int, int, int], edges_hz: FloatArray | None
-    ) -> ComplexArray:
-        """Draw what errors of phase turn the channels by, (n, bands, channels) of magnitude 1."""
-        n, bands, channels = shape
-        drawn = generator.normal(size=(n, channels, bands)) @ self._smooth(bands).T
-        angle: FloatArray = self.phase * np.swapaxes(drawn, 1, 2)
-        if edges_hz is not None:
-            middle = 0.5 * (edges_hz[:bands] + edges_hz[1 : bands + 1])
-            angle += 2.0 * np.pi * self.delay * middle[:, None] * generator.normal(size=(n, 1, channels))
-        found: ComplexArray = np.exp(1j * angle)
-        return found
-
-    def _smooth(self, bands: int) -> FloatArray:
-        """Factor (bands, bands) that makes errors of neighbouring bands alike."""
-        place = np.arange(bands, dtype=float)
-        covariance = np.exp(-0.5 * ((place[:, None] - place[None, :]) / self.correlation) ** 2)
-        return np.asarray(np.linalg.cholesky(covariance + 1e-9 * np.eye(bands)), dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,6 +53,9 @@ class Sensing:
         Of that power's scatter.
     phases : bool
         Whether phases are known, so that coherences and what is locked to the crank are compared, too: not of spectra.
+    past : bool
+        Whether recordings of the same machine in order, by the same sensors, are there to compare with: their features
+        stand behind the recording's own.
     """
 
     transform: FloatArray
@@ -131,6 +64,7 @@ class Sensing:
     noise: FloatArray
     degrees_of_freedom: FloatArray
     phases: bool = True
+    past: bool = False
 
     def __post_init__(self) -> None:
         if self.channels.shape[1] != len(self.transform):
@@ -143,7 +77,7 @@ class Sensing:
     @property
     def digest(self) -> str:
         """SHA-256 over everything it consists of."""
-        found = hashlib.sha256(repr((self.cuts, self.phases)).encode())
+        found = hashlib.sha256(repr((self.cuts, self.phases, *["past"] * self.past)).encode())
         for array in (self.transform, self.channels, self.noise, self.degrees_of_freedom):
             found.update(repr(array.shape).encode())
             found.update(np.ascontiguousarray(array, np.float64).tobytes())
@@ -165,9 +99,14 @@ class Sensing:
         return self.noise.size + (2 * self.bands * len(self.alike) if self.phases else 0)
 
     @property
+    def own_count(self) -> int:
+        """How many features are of the recording itself: all but those of the past."""
+        return self.plain_count + (2 * len(self.cyclic.band) * len(self.channels) if self.phases else 0)
+
+    @property
     def features_count(self) -> int:
         """Length d of feature vectors."""
-        return self.plain_count + (2 * len(self.cyclic.band) * len(self.channels) if self.phases else 0)
+        return self.own_count * (2 if self.past else 1)
 
     @property
     def alike(self) -> FloatArray:
@@ -227,6 +166,11 @@ class Sensing:
             gains = np.ones((1, len(self.transform)))
         mix: FloatArray = np.einsum("cs,ns,sj->ncj", self.channels, gains, self.transform)
         return mix
+
+    def with_more_noise(self, features: FloatArray, missing: FloatArray) -> FloatArray:
+        """Return feature vectors (n, d) with more noise power (G, c) in them, >= 0."""
+        parts = np.split(features, 2, axis=1) if self.past else [features]
+        return np.hstack([with_more_noise(part, missing, self.alike) for part in parts])
 
     def features(
         self, power: FloatArray, cross: ComplexArray | None = None, cyclic: ComplexArray | None = None
@@ -296,6 +240,7 @@ def observe(
     seed: int | Sequence[int] = 0,
     edges_hz: FloatArray | None = None,
     noise_seed: int | Sequence[int] | None = None,
+    past: PackedArray | None = None,
 ) -> tuple[FloatArray, IntArray]:
     """Draw feature vectors of catalogue entries as a measurement would show them.
 
@@ -315,6 +260,8 @@ def observe(
     noise_seed : int or sequence of int, optional
         Seed of what differs from one recording of a machine by the same sensors to the next, where there are several:
         the noise. Gains and what the model does not know stay with `seed`.
+    past : ndarray, shape (n, G or more, 33), optional
+        Of the same machines in order, seen through the same sensors; needed where the sensing asks for it.
 
     Returns
     -------
@@ -338,27 +285,79 @@ def observe(
     if discrepancy.transfer is not None and edges_hz is None:
         raise DiagnosisError("transfer functions: need the edges of the bands in Hz")
     edges = None if edges_hz is None else np.asarray(edges_hz)[: sensing.bands + 1]
+    if sensing.past != (past is not None):
+        raise DiagnosisError("spectra of the past: needed where they are compared, and nowhere else")
     gains = 1.0 + discrepancy.gain * generator.normal(size=(len(entry), len(sensing.transform)))
-    chosen = packed[entry]
-    clean, cross = sensing.powers(chosen, gains)
-    cyclic = sensing.cyclic_powers(chosen, gains) if sensing.phases else None
-    bands, pairs = sensing.cyclic, np.array(pairs_of(clean.shape[2]), np.int64).reshape(-1, 2).T
-    change = 10.0 ** (0.1 * discrepancy.levels(generator, clean.shape, edges))
-    clean *= change
-    if cross is not None and cyclic is not None:
-        turn = discrepancy.turns(generator, clean.shape, edges)
-        cross *= pair_scale(change) * turn[..., pairs[0]] * turn[..., pairs[1]].conj()
-        cyclic *= bands.scale(change) * turn[:, bands.other] * turn[:, bands.band].conj()
-    if discrepancy.transfer is not None and edges is not None:
-        squared, product, mean = discrepancy.transfer.draw(generator, len(entry), edges, clean.shape[2])
-        clean *= squared
-        if cross is not None and cyclic is not None:
-            cross *= product
-            apart = mean[:, bands.other] * mean[:, bands.band].conj()
-            cyclic *= np.where((bands.other == bands.band)[:, None], squared[:, bands.band], apart)
+    path = _Path.draw(generator, discrepancy, sensing, len(entry), edges)
+    days = [path.seen(sensing, each[entry], gains) for each in (packed, *([] if past is None else [past]))]
     if noise_seed is not None:
         generator = np.random.default_rng(noise_seed)
-    shift = discrepancy.noise_level_db * generator.normal(size=(len(entry), 1, clean.shape[2]))
+    measured = [_measure(generator, sensing, discrepancy, *day) for day in days]
+    return np.hstack(measured), entry.astype(np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class _Path:
+    """What lies between the motion of n machines and their sensors, and is the same in all recordings of one.
+
+    Factors on powers (n, G, c), turns (n, G, c), and what modes of the frame make of powers, of pairs (n, G, p), and
+    of a channel in the mean (n, G, c); None where there are none.
+    """
+
+    change: FloatArray
+    turn: ComplexArray | None
+    modes: tuple[FloatArray, ComplexArray, ComplexArray] | None
+
+    @classmethod
+    def draw(
+        cls,
+        generator: np.random.Generator,
+        discrepancy: Discrepancy,
+        sensing: Sensing,
+        count: int,
+        edges: FloatArray | None,
+    ) -> _Path:
+        shape = (count, sensing.bands, len(sensing.channels))
+        change = 10.0 ** (0.1 * discrepancy.levels(generator, shape, edges))
+        turn = discrepancy.turns(generator, shape, edges) if sensing.phases else None
+        modes = None
+        if discrepancy.transfer is not None and edges is not None:
+            modes = discrepancy.transfer.draw(generator, count, edges, shape[2])
+        return cls(change, turn, modes)
+
+    def seen(
+        self, sensing: Sensing, packed: PackedArray, gains: FloatArray
+    ) -> tuple[FloatArray, ComplexArray | None, ComplexArray | None]:
+        """Powers (n, G, c), of pairs (n, G, p), and cyclic ones (n, f, c) that come through it, without noise."""
+        clean, cross = sensing.powers(packed, gains)
+        cyclic = sensing.cyclic_powers(packed, gains) if sensing.phases else None
+        bands, pairs = sensing.cyclic, np.array(pairs_of(clean.shape[2]), np.int64).reshape(-1, 2).T
+        clean *= self.change
+        if cross is not None and cyclic is not None and self.turn is not None:
+            turn = self.turn
+            cross *= pair_scale(self.change) * turn[..., pairs[0]] * turn[..., pairs[1]].conj()
+            cyclic *= bands.scale(self.change) * turn[:, bands.other] * turn[:, bands.band].conj()
+        if self.modes is not None:
+            squared, product, mean = self.modes
+            clean *= squared
+            if cross is not None and cyclic is not None:
+                cross *= product
+                apart = mean[:, bands.other] * mean[:, bands.band].conj()
+                cyclic *= np.where((bands.other == bands.band)[:, None], squared[:, bands.band], apart)
+        return clean, cross, cyclic
+
+
+def _measure(
+    generator: np.random.Generator,
+    sensing: Sensing,
+    discrepancy: Discrepancy,
+    clean: FloatArray,
+    cross: ComplexArray | None,
+    cyclic: ComplexArray | None,
+) -> FloatArray:
+    """Feature vectors (n, d) of recordings of powers, with noise."""
+    bands, pairs = sensing.cyclic, np.array(pairs_of(clean.shape[2]), np.int64).reshape(-1, 2).T
+    shift = discrepancy.noise_level_db * generator.normal(size=(len(clean), 1, clean.shape[2]))
     noise = sensing.noise * 10.0 ** (0.1 * shift)
     cells = 0.5 * sensing.degrees_of_freedom[None, :, None]
     mean_power = clean + noise
@@ -371,7 +370,7 @@ def observe(
         both = bands.products(mean_power, mean_power)
         variance = (both - bands.products(clean, clean)) / cells[:, bands.band] + 2.0 * discrepancy.cyclic**2 * both
         cyclic = cyclic + _scatter(generator, variance)
-    return sensing.features(measured, cross, cyclic), entry.astype(np.int64)
+    return sensing.features(measured, cross, cyclic)
 
 
 def _scatter(generator: np.random.Generator, variance: FloatArray) -> ComplexArray:

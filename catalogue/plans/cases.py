@@ -1,11 +1,11 @@
-"""The cases that a plan asks for: points of space-filling sequences, one sequence a hypothesis and stratum."""
+"""The cases that a plan asks for: points of a space-filling sequence a stratum, each of them one machine."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from itertools import accumulate, combinations
+from itertools import accumulate, combinations, product
 
 import numpy as np
 
@@ -103,6 +103,8 @@ class Sequence:
         Of the process, N or N m; 0 for what the machine file has.
     count : int
         Draws.
+    again : bool
+        Whether these are machines in order that the plan has already, on another day.
     """
 
     hypothesis: Hypothesis
@@ -110,35 +112,34 @@ class Sequence:
     speed: float
     load: float
     count: int
-
-    @property
-    def day(self) -> tuple[float, ...]:
-        """Conditions of the day, as seeds have them; a machine without loads has the draws that it always had."""
-        return (float(self.speed), self.load) if self.load else (float(self.speed),)
+    again: bool = False
 
 
 def sequences_of(plan: Plan, machine: Machine) -> Iterator[Sequence]:
     """All sequences of a plan for a machine."""
+    loads = [0.0] if plan.loads is None else [load.size for load in plan.loads]
     for hypothesis in hypotheses_of(plan, machine):
         count = plan.draws.of(len(hypothesis.joints)) if hypothesis.is_faulty else plan.draws.healthy
+        again = 0 if hypothesis.is_faulty else min(count, plan.draws.again)
         strata: tuple[Stratum, ...] = ("trusted", "wide")
         for stratum in strata:
-            asked = plan.wide.count(count) if stratum == "wide" else count
-            if asked:
-                loads = [0.0] if plan.loads is None else [load.size for load in plan.loads]
-                yield from (
-                    Sequence(hypothesis, stratum, speed, load, asked) for speed in plan.speeds for load in loads
-                )
+            for is_again, asked in ((False, count), (True, again)):
+                number = plan.wide.count(asked) if stratum == "wide" else asked
+                if is_again and stratum == "wide":
+                    number = min(number, (plan.wide.count(count) + 1) // 2)
+                if number:
+                    days = product(plan.speeds, loads)
+                    yield from (Sequence(hypothesis, stratum, *day, number, is_again) for day in days)
 
 
 def entries_of(plan: Plan, machine: Machine) -> tuple[Entry, ...]:
     """Every case of a plan for a machine: by hypothesis, stratum, speed, load, then by draw.
 
-    Draw i of a hypothesis and stratum is point i of one space-filling sequence over clearances, contact law and all
-    that is uncertain: one machine, the same at every speed and load, but for what is of the day
-    (:func:`~jointplay.catalogue.plans.parameters.is_of_the_day`). It does not depend on what else the plan asks for. So
-    a plan with more draws or hypotheses contains the cases of the smaller one, and any number of first draws covers
-    everything evenly.
+    Draw i of a stratum is point i of one space-filling sequence over clearances, contact law and all that is
+    uncertain: one machine, the same in order and with any joints worn, at every speed and load, but for what is of the
+    day (:func:`~jointplay.catalogue.plans.parameters.is_of_the_day`). Every other wide draw is of a machine that is in
+    one hypothesis alone. None depends on what else the plan asks for. So a plan with more draws or hypotheses contains
+    the cases of the smaller one, and any number of first draws covers everything evenly.
 
     Raises
     ------
@@ -184,36 +185,37 @@ class _Drawing:
 
     def entries(self, sequence: Sequence) -> Iterator[Entry]:
         plan, hypothesis, stratum = self.plan, sequence.hypothesis, sequence.stratum
-        others = sorted(joint for joint in self.machine.wearing_joints if joint not in hypothesis.joints)
-        opened = (*hypothesis.joints, *others)
+        able = sorted(self.machine.wearing_joints)
         spread = plan.spread(self.machine, stratum)
         laws = plan.law_weights(self.machine)
-        # Coordinates: clearances, contact law, silence, then what is uncertain in alphabetical order, contacts joint by
-        # joint.
-        columns = len(opened) + 2 + sum(len(opened) if path in SHARED else 1 for path in spread)
-        # A draw is the same machine on every day.
-        points = unit_draws(self._seed(sequence, 1.0), columns, sequence.count)
-        if sequence.day != (1.0,):
-            self._change_the_day(points[:, len(opened) + 2 :], sequence, spread, len(opened))
+        # Coordinates: play of fits, wear, contact law, silence, then what is uncertain in alphabetical order, contacts
+        # joint by joint.
+        fixed = 2 * len(able) + 2
+        columns = fixed + sum(len(able) if path in SHARED else 1 for path in spread)
+        draws, points = self._machines(sequence, columns)
+        # By chance alone: the same coordinates of two sequences are not independent.
+        today = np.random.default_rng(self._seed_of_the_day(sequence)).random((sequence.count, columns + 1))
+        _change_the_day(points[:, fixed:], today[:, fixed:], spread, len(able))
         ranges = {joint: self._range(joint, len(hypothesis.joints)) for joint in hypothesis.joints}
         variants = {law: self._variant(spread, law, is_loaded=sequence.load != 0.0) for law in laws}
         scatters = {law: self._scatter(variant, spread, laws) for law, variant in variants.items()}
-        loads = self._loads(sequence)
+        low, high = DAY_LOAD
+        loads = sequence.load * (low + (high - low) * today[:, -1])
         outputs = {law: self._outputs(variant) for law, variant in variants.items()} if sequence.load else {}
-        for draw, point in enumerate(points.tolist()):
-            is_silent = point[len(opened) + 1] < plan.fits.silent
-            ideal = others if is_silent else []
+        for place, (draw, point) in enumerate(zip(draws, points.tolist(), strict=True)):
+            is_silent = point[fixed - 1] < plan.fits.silent
+            ideal = [joint for joint in able if joint not in ranges] if is_silent else []
             sizes = {}
-            for joint, u in zip(opened, point, strict=False):
+            for column, joint in enumerate(able):
                 if joint in ranges:
-                    sizes[joint] = log_uniform(*ranges[joint], u)
+                    sizes[joint] = log_uniform(*ranges[joint], point[len(able) + column])
                 elif joint not in ideal:
-                    sizes[joint] = plan.fits.quantile(u, self.machine.joints[joint])
+                    sizes[joint] = plan.fits.quantile(point[column], self.machine.joints[joint])
             joints = tuple(sorted(sizes))
-            law = _choice(laws, point[len(opened)])
-            parameters = scatters[law].parameters(point[len(opened) + 2 :], sequence.speed)
+            law = _choice(laws, point[fixed - 2])
+            parameters = scatters[law].parameters(point[fixed:], sequence.speed)
             for path, share in outputs.get(law, ()):
-                parameters[path] = parameters.get(path, 0.0) + share * loads[draw]
+                parameters[path] = parameters.get(path, 0.0) + share * float(loads[place])
             yield Entry.of(
                 self.machine,
                 self.recipe,
@@ -228,40 +230,30 @@ class _Drawing:
                 guarded=plan.guard > 0 and draw % plan.guard == 0,
             )
 
-    def _seed(self, sequence: Sequence, *day: float) -> int:
+    def _machines(self, sequence: Sequence, columns: int) -> tuple[range, FloatArray]:
+        """Numbers (n,) and points (n, columns) of the machines of a sequence.
+
+        Those of wide draws have so much of their own that answers need more of them than the machines in order are:
+        every other one is in no other hypothesis.
+        """
+        seed, count = self.plan.seed, sequence.count
+        if sequence.stratum == "trusted":
+            return range(count), unit_draws(seed_from(seed, sequence.stratum), columns, count)
+        if sequence.again:
+            return range(0, 2 * count, 2), unit_draws(seed_from(seed, sequence.stratum), columns, count)
+        points = np.empty((count, columns))
+        points[0::2] = unit_draws(seed_from(seed, sequence.stratum), columns, (count + 1) // 2)
+        points[1::2] = unit_draws(seed_from(seed, sequence.hypothesis.label, "wide"), columns, count // 2)
+        return range(count), points
+
+    def _seed_of_the_day(self, sequence: Sequence) -> int:
+        day = (float(sequence.speed), sequence.load, sequence.again)
         return seed_from(self.plan.seed, sequence.hypothesis.label, sequence.stratum, *day)
 
     def _outputs(self, variant: Variant) -> list[tuple[str, float]]:
         """Paths of the numbers of the process load, and the share that each has of it."""
         targets = MachineNumbers(variant.machine(self.machine)).targets(LOAD)
         return [(target.path, target.share) for target in targets]
-
-    def _loads(self, sequence: Sequence) -> list[float]:
-        """Load of each draw, N or N m, about what the plan asks for."""
-        low, high = DAY_LOAD
-        share = unit_draws(self._seed(sequence, *sequence.day, *DAY_LOAD), 1, sequence.count)[:, 0]
-        return [sequence.load * (low + (high - low) * each) for each in share.tolist()]
-
-    def _change_the_day(
-        self, points: FloatArray, sequence: Sequence, spread: Mapping[str, Distribution], joints: int
-    ) -> None:
-        """Draw anew, in points (n, columns) of what is uncertain, what is not of the machine but of the day."""
-        first = 0
-        columns: list[int] = []
-        ends: list[float] = []
-        for path in sorted(spread):
-            count = joints if path in SHARED else 1
-            if is_of_the_day(path):
-                columns += range(first, first + count)
-                ends += [spread[path].zero or 0.0] * count
-            first += count
-        if not columns:
-            return
-        zero = np.array(ends)
-        anew = unit_draws(self._seed(sequence, *sequence.day), len(columns), sequence.count)
-        # A joint without oil has none on any day.
-        chosen = np.array(columns)
-        points[:, chosen] = np.where(points[:, chosen] < zero, points[:, chosen], zero + (1.0 - zero) * anew)
 
     def _range(self, joint: str, worn: int) -> tuple[float, float]:
         """Least and largest clearance of a joint that wears, alone or together with others, m."""
@@ -287,6 +279,17 @@ class _Drawing:
             left_out = [path for path in missing if any(_has(other, path) for other in others)]
             self.scatters[key] = Scatter(numbers, spread, left_out)
         return self.scatters[key]
+
+
+def _change_the_day(points: FloatArray, today: FloatArray, spread: Mapping[str, Distribution], joints: int) -> None:
+    """Draw, in points (n, columns) of what is uncertain, what is not of the machine but of the day."""
+    first = 0
+    for path in sorted(spread):
+        chosen = slice(first, first := first + (joints if path in SHARED else 1))
+        if is_of_the_day(path):
+            # A joint without oil has none on any day.
+            zero, own = spread[path].zero or 0.0, points[:, chosen]
+            points[:, chosen] = np.where(own < zero, own, zero + (1.0 - zero) * today[:, chosen])
 
 
 def _without(joints: Iterable[str], parameters: Mapping[str, float]) -> dict[str, float]:

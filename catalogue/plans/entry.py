@@ -125,6 +125,12 @@ def seed_from(*parts: object) -> int:
     return int(content_digest(list(parts))[:16], 16)
 
 
+DRAWS_VERSION = 2
+"""Of what a plan draws. It changes when, and only when, the same plan may ask for other cases: since 2 a draw is the
+same machine in order and worn.
+"""
+
+
 HEALTHY = "healthy"
 """Hypothesis of a machine in order: every joint that can wear has the small play of its fit, and none is worn."""
 

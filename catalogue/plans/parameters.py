@@ -24,6 +24,9 @@ SHARED = SHORTHANDS
 LOAD = "load"
 """Short path of the process load of a machine's output link, N or N m."""
 
+OIL = "oil"
+"""Short path of the friction of all joints that can wear, which is a little more or less with the oil of the day."""
+
 _USUAL = re.compile(
     r"drive\.(speed|effort_factor)|supports\.\d+\.(stiffness|damping)(\.[01])?|joints\..*\.(contact\..*|pin_radius|film\.viscosity)"
 )
@@ -54,7 +57,7 @@ def check_ground(machine: Machine) -> None:
                 raise PlanError(machine.name, f"supports.{i}.motion.{k}", None, rule)
 
 
-_OF_THE_DAY = re.compile(r"drive\.(speed|effort_factor|speed_factor)|load(\..+)?|film\.viscosity|.*\.film\.viscosity")
+_OF_THE_DAY = re.compile(r"oil|drive\.(speed|effort_factor|speed_factor)|load(\..+)?|(.*\.)?film\.viscosity")
 
 
 def is_of_the_day(path: str) -> bool:
@@ -90,7 +93,8 @@ class ParameterTarget:
 class MachineNumbers:
     """Every number of a machine by its dotted path (``supports.0.stiffness.1``), and short paths for several.
 
-    ``contact.friction`` and its like mean all joints that can wear, as far as they have such a number; ``frame.mass``,
+    ``contact.friction`` and its like mean all joints that can wear, as far as they have such a number, ``oil`` their
+    friction together; ``frame.mass``,
     ``frame.inertia`` the frame; ``supports.stiffness.x`` (``y``; without either, of springs) and
     ``supports.damping.x`` all supports by one factor, ``supports.0.stiffness`` both directions of a mount; ``load`` the
     process load, ``load.1.sin`` and ``load.1.cos`` a term of it over the drive's angle, ``ripple.1.sin`` and
@@ -133,6 +137,8 @@ class MachineNumbers:
         order = ripple_order(path)
         if path in SHARED:
             listed = [(f"joints.{joint}.{path}", 1.0) for joint in self.wearing if self._has(joint, path)]
+        elif path == OIL:
+            listed = [(f"joints.{joint}.contact.friction", 1.0) for joint in self.wearing]
         elif path in ("frame.mass", "frame.inertia"):
             listed = [(f"links.{self._machine.frame}.{path.partition('.')[2]}", 1.0)]
         elif path in _SUPPORTS:

@@ -126,7 +126,10 @@ def plan_lines(plan: Plan, machine: Machine) -> tuple[str, ...]:
             labels.append(sequence.hypothesis.label)
         cases[sequence.stratum] += sequence.count
     hypotheses = ", ".join(kind if labels == [kind] else f"{len(labels)} of a {kind}" for kind, labels in kinds.items())
-    draws = ", ".join(f"{name} {count}" for name, count in plan.draws.model_dump().items())
+    counts = plan.draws.model_dump(exclude={"again"})
+    draws = ", ".join(f"{name} {count}" for name, count in counts.items())
+    if again := min(plan.draws.again, plan.draws.healthy):
+        draws += f"; {again} of the healthy ones on another day, too"
     laws = ", ".join(f"{law} {weight:g}" for law, weight in (plan.laws or {}).items())
     lines = [
         f"plan {plan.name}, {plan.hash[:12]}: {sum(cases.values())} cases "

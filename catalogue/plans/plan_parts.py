@@ -203,12 +203,17 @@ class Fits(Part):
 
 
 class DrawCounts(Part):
-    """Number of draws of each hypothesis, by kind: healthy, one worn joint, two, a set of more."""
+    """Number of draws of each hypothesis, by kind: healthy, one worn joint, two, a set of more.
+
+    ``again`` of the healthy ones, the first, are simulated on another day, too: what a machine in order differs by from
+    itself.
+    """
 
     healthy: Count = 192
     single: Count = 192
     pair: Count = 192
     larger: Count = 192
+    again: Annotated[int, Field(ge=0, le=100_000, strict=True)] = 0
 
     def of(self, worn: int) -> int:
         """The number for a hypothesis of so many worn joints, 1 at least."""
@@ -251,6 +256,8 @@ MODE_TOLERANCE = {"frequency": 0.015, "damping": 0.2}
 HYSTERESIS_RANGE = (0.3, 30.0)
 #: Presliding [m] of surfaces that stick: from what stands for Coulomb's law to the micrometre that real ones give way.
 PRESLIDING_RANGE = (3e-9, 1e-6)
+#: Standard deviation of the logarithm of a machine's friction from day to day.
+OIL_SCATTER = 0.1
 #: Viscosity of oil, as a factor on what the file says: some 25 K warmer or colder, of which 14 K or so halve it; and
 #: the share of joints with oil that run dry, which is what wears them.
 VISCOSITY_RANGE, DRY = (0.3, 3.0), 0.2
@@ -299,6 +306,7 @@ def default_uncertain(machine: Machine, laws: Mapping[LawChoice, float]) -> dict
         **(_motor(machine, EFFORT, DRIVER_INERTIA) if has_known_effort(machine) else {}),
         "contact.friction": Distribution(uniform=(0.01, 0.15)),
         "contact.stiffness": Distribution(lognormal=STIFFNESS_SCATTER),
+        "oil": Distribution(lognormal=OIL_SCATTER),
     }
     if any(getattr(joint, "pin_radius", 0.0) > 0 for joint in machine.joints.values()):
         found["pin_radius"] = Distribution(factor_uniform=(0.9, 1.1))

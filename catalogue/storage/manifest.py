@@ -17,7 +17,7 @@ from typing import Any, Self
 
 from jointplay import solver
 from jointplay.catalogue.errors import CatalogueFileError, CatalogueMismatchError, PlanError
-from jointplay.catalogue.plans.entry import Recipe, content_digest
+from jointplay.catalogue.plans.entry import DRAWS_VERSION, Recipe, content_digest
 from jointplay.catalogue.plans.parameters import MachineNumbers
 from jointplay.catalogue.plans.plan import Plan, parse_plan
 from jointplay.catalogue.storage.directory import CatalogueDirectory, publish
@@ -154,6 +154,8 @@ class Manifest:
         RFC 3339, UTC.
     seal : Seal, optional
         What it consisted of at the end of the last build or check; None before the first.
+    draws_version : int
+        :data:`jointplay.catalogue.plans.entry.DRAWS_VERSION` of that program, likewise.
     """
 
     machine_content: str
@@ -164,6 +166,7 @@ class Manifest:
     platform: str
     created: str
     seal: Seal | None = None
+    draws_version: int = DRAWS_VERSION
 
     @classmethod
     def of(cls, machine: Machine, plan: Plan) -> Self:
@@ -226,6 +229,7 @@ class Manifest:
                 platform=str(content["platform"]),
                 created=str(content["created"]),
                 seal=None if seal is None else Seal.from_plain(seal),
+                draws_version=int(content.get("draws_version", 1)),
             )
         except (KeyError, TypeError, ValueError, MachineError, PlanError) as error:
             raise CatalogueFileError(path, f"is damaged ({error})") from None
@@ -241,6 +245,7 @@ class Manifest:
             "plan_hash": self.plan.hash,
             "band_edges_orders": list(self.recipe.scheme.edges),
             "numbers_version": self.numbers_version,
+            "draws_version": self.draws_version,
             "versions": dict(self.versions),
             "platform": self.platform,
             "created": self.created,
@@ -291,6 +296,9 @@ class Manifest:
             raise CatalogueMismatchError(where, f"is a catalogue of another machine: {self._difference(machine)}")
         if self.other_numbers:
             raise CatalogueMismatchError(where, f"{self.other_numbers}: build into another folder")
+        if self.draws_version != DRAWS_VERSION:
+            rule = "holds other machines in order than worn, which this program draws alike: build into another folder"
+            raise CatalogueMismatchError(where, rule)
         self.recipe.check_same(plan.recipe(machine), str(where))
         different = self.plan.difference(plan, machine)
         if different:

@@ -16,7 +16,7 @@ from typing import IO, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from jointplay.catalogue.plans.entry import Hypothesis, Recipe, Stratum
+from jointplay.catalogue.plans.entry import HEALTHY, Hypothesis, Recipe, Stratum
 from jointplay.catalogue.storage.cross_power import unpack
 from jointplay.catalogue.storage.directory import CatalogueDirectory
 from jointplay.catalogue.storage.gathering import Columns, Gathered, MemoryColumns, Numbers, gather, hexadecimal
@@ -24,7 +24,7 @@ from jointplay.catalogue.storage.matrix_files import MappedColumns, write_matrix
 from jointplay.catalogue.storage.matrix_header import LAWS, STRATA, Guard, MatrixHeader, Ranges
 from jointplay.catalogue.storage.shard import OK, Shard
 from jointplay.catalogue.storage.table import EntryTable
-from jointplay.solver.arrays import FloatArray, IntArray
+from jointplay.solver.arrays import BoolArray, FloatArray, IntArray
 from jointplay.solver.machines.machine import Machine
 
 
@@ -212,17 +212,58 @@ class FeatureMatrix:
         return rows
 
     def individuals(self, rows: IntArray) -> IntArray:
-        """Which machine each of some rows is of: entries of one draw at several speeds are of one (m,)."""
+        """Which machine each of some rows is of (m,): entries of one draw are of one, worn or not, on any day."""
         return self._individual[rows]
+
+    def in_order(self, rows: IntArray) -> IntArray:
+        """Rows (m,) of the same machines in order, at the same speed on another day; -1 where there is none."""
+        return self._in_order[rows]
 
     @cached_property
     def _individual(self) -> IntArray:
+        count = len(self)
+        drawn = [self._columns.column("stratum")[:count], self._columns.column("draw")[:count]]
+        _, first, group = np.unique(np.stack(drawn, axis=1), axis=0, return_index=True, return_inverse=True)
+        alike = self._alike(first[np.ravel(group)])
+        # Draws of catalogues from before this program drew the same machines for all hypotheses.
         sizes = [block.stop - block.start for block in self._header.blocks]
-        block = np.repeat(np.arange(len(sizes)), sizes)
-        drawn = [block, self._columns.column("draw")[: len(self)], *self._columns.column("clearance")[: len(self)].T]
+        block = np.where(alike, -1, np.repeat(np.arange(len(sizes)), sizes))
+        clearances = np.where(alike[:, None], 0.0, self._columns.column("clearance")[:count])
+        drawn = [block, *drawn, *clearances.T]
         _, first, number = np.unique(np.stack(drawn, axis=1), axis=0, return_index=True, return_inverse=True)
-        # In the order in which they come, so that where there is one speed machines have the numbers of the rows.
+        # In the order in which they come, so that machines in order at one speed have the numbers of their rows.
         found: IntArray = np.argsort(np.argsort(first, kind="stable"), kind="stable")[np.ravel(number)]
+        return found
+
+    def _alike(self, other: IntArray) -> BoolArray:
+        """Whether rows are of the same machine as others (n,): by its frame, its supports, and play that is no wear."""
+        names, count = self._header.parameter_names, len(self)
+        own = [place for place, name in enumerate(names) if name.startswith(("links.", "supports.", "modes."))]
+        numbers = self._columns.column("parameters")[:count][:, own]
+        clearance = np.where(
+            self._header.worn[self._columns.column("hypothesis")[:count]],
+            0.0,
+            self._columns.column("clearance")[:count],
+        )
+        both = (clearance > 0.0) & (clearance[other] > 0.0)
+        told = both.any(axis=1) | bool(own)
+        same = (numbers == numbers[other]).all(axis=1) & ((clearance == clearance[other]) | ~both).all(axis=1)
+        return np.asarray(told & same)
+
+    @cached_property
+    def _in_order(self) -> IntArray:
+        speed = self._columns.column("speed")[: len(self)]
+        sound: dict[tuple[int, float], list[int]] = {}
+        for row in self.rows(HEALTHY).tolist():
+            sound.setdefault((int(self._individual[row]), float(speed[row])), []).append(row)
+        found = np.full(len(self), -1)
+        for row, machine in enumerate(self._individual.tolist()):
+            days = sound.get((machine, float(speed[row])), [])
+            if row in days:
+                # Another day than its own.
+                days = days[days.index(row) + 1 :] + days[: days.index(row)]
+            if days:
+                found[row] = days[0]
         return found
 
     def nearest_speed(self, speed: float) -> float:

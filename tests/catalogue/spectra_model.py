@@ -78,6 +78,10 @@ class SpectraModel:
         """Each is of a machine of its own."""
         return rows
 
+    def in_order(self, rows: IntArray) -> IntArray:
+        """None of them is there in order."""
+        return np.full(len(rows), -1)
+
     def packed(self, rows: IntArray) -> FloatArray:
         """Spectra of rows."""
         chosen: FloatArray = self.powers[rows]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from jointplay.catalogue.errors import (
     CatalogueMismatchError,
     PlanError,
 )
+from jointplay.catalogue.plans.entry import content_digest
 from jointplay.catalogue.plans.plan import parse_plan
 from jointplay.catalogue.storage.hdf5 import LAYOUT_VERSION
 from jointplay.catalogue.storage.store import Catalogue
@@ -81,6 +83,20 @@ def test_other_versions_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPa
                 use()
             assert "\n" not in str(refused.value)
         assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == files
+
+
+def test_catalogues_of_other_draws_are_refused(tmp_path: Path) -> None:
+    """Before draws had a version, those of each hypothesis were other machines."""
+    quick_build(tmp_path)
+    catalogue = Catalogue.open(tmp_path)
+    content = json.loads(catalogue.layout.manifest.read_text())
+    del content["draws_version"], content["checksum"]
+    catalogue.layout.manifest.write_text(json.dumps({**content, "checksum": content_digest(content)}))
+    assert Catalogue.open(tmp_path).manifest.draws_version == 1
+    with pytest.raises(
+        CatalogueMismatchError, match=r"other machines in order than worn.*: build into another folder$"
+    ):
+        quick_build(tmp_path)
 
 
 def test_another_version_of_the_product_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -117,15 +117,44 @@ def test_rows_are_found_by_hypothesis_draw_and_speed(mapped: FeatureMatrix) -> N
     assert len(mapped.rows("A", "wide")) == len(mapped.rows("Z")) == 0
 
 
-def test_individuals_are_draws_whatever_the_speed(mapped: FeatureMatrix) -> None:
+def test_individuals_are_draws_whatever_is_worn_and_the_speed(mapped: FeatureMatrix) -> None:
     table = mapped.table(mapped.all_rows)
     number = mapped.individuals(mapped.all_rows)
-    told = [*zip(table.hypothesis.tolist(), table.stratum.tolist(), table.draw.tolist(), strict=True)]
-    assert len(set(number.tolist())) == len(set(told))
+    told = [*zip(table.stratum.tolist(), table.draw.tolist(), strict=True)]
+    assert len(set(number.tolist())) == len(set(told)) < len({*zip(told, table.hypothesis.tolist(), strict=True)})
     assert len({*zip(number.tolist(), told, strict=True)}) == len(set(told))
     # Numbers are given in the order of the rows.
     assert (np.diff(np.maximum.accumulate(number)) <= 1).all()
     assert number[0] == 0
+
+
+def test_a_machine_in_order_is_found_for_every_row_that_has_one(mapped: FeatureMatrix) -> None:
+    table, rows = mapped.table(mapped.all_rows), mapped.all_rows
+    before = mapped.in_order(rows)
+    sound = {
+        (stratum, draw, speed)
+        for label, stratum, draw, speed in zip(table.hypothesis, table.stratum, table.draw, table.speed, strict=True)
+        if label == "healthy"
+    }
+    for row, found in zip(rows.tolist(), before.tolist(), strict=True):
+        known = (table.stratum[row], table.draw[row], table.speed[row])
+        # One in order is not its own past, and is not there on another day.
+        assert (found >= 0) == (known in sound and table.hypothesis[row] != "healthy")
+        if found >= 0:
+            assert table.hypothesis[found] == "healthy"
+            assert (table.stratum[found], table.draw[found], table.speed[found]) == known
+    assert (before >= 0).sum() > 20
+
+
+def test_draws_that_are_other_machines_worn_than_in_order_have_no_past(directory: Path) -> None:
+    """As those of catalogues from before draws were the same machines for all hypotheses."""
+    whole = FeatureMatrix.in_memory(Catalogue.open(directory))
+    columns = whole._columns
+    place = next(n for n, name in enumerate(whole._header.parameter_names) if name.startswith("supports."))
+    columns.column("parameters")[whole.rows("A"), place] *= 1.001
+    assert (whole.in_order(whole.rows("A")) == -1).all()
+    assert (whole.in_order(whole.rows("B")) >= 0).any()
+    assert not set(whole.individuals(whole.rows("A"))) & set(whole.individuals(whole.rows("B")))
 
 
 def test_failed_cases_are_rows_behind_the_others(mapped: FeatureMatrix) -> None:

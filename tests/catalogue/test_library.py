@@ -15,12 +15,13 @@ from spectra_model import WATCHED, SpectraModel, sensing
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.evaluation.cross_checks import MethodLibrary
 from jointplay.catalogue.evaluation.nearest_entry import NearestEntry
+from jointplay.catalogue.matching.discrepancy import Discrepancy
 from jointplay.catalogue.matching.gaussian import FittedGaussian
 from jointplay.catalogue.matching.learning import Learning, rows_of, training_set
 from jointplay.catalogue.matching.matcher import MatchResult, TrainingSet
 from jointplay.catalogue.matching.model_library import ModelLibrary, Observed
 from jointplay.catalogue.matching.modelfile import FORMAT, read_model, write_model
-from jointplay.catalogue.matching.observation import Discrepancy, Sensing, observe
+from jointplay.catalogue.matching.observation import Sensing, observe
 from jointplay.catalogue.storage.store import Catalogue
 
 MODEL = SpectraModel(220, wide=60)

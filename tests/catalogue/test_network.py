@@ -19,13 +19,14 @@ from jointplay.catalogue.building.network_building import train_networks
 from jointplay.catalogue.errors import BuildError, CatalogueFileError
 from jointplay.catalogue.matching.calibration import fit_shares, is_held_out, split_held_out
 from jointplay.catalogue.matching.coherence import with_more_noise
+from jointplay.catalogue.matching.discrepancy import Discrepancy
 from jointplay.catalogue.matching.learning import Learning, band_widths, training_set
 from jointplay.catalogue.matching.matcher import TrainingSet
 from jointplay.catalogue.matching.model_library import ModelLibrary
 from jointplay.catalogue.matching.modelfile import read_network, write_network
 from jointplay.catalogue.matching.network import Network, NetworkTraining, Opinion
 from jointplay.catalogue.matching.network_shelf import NetworkShelf, arrangement
-from jointplay.catalogue.matching.observation import Discrepancy, Sensing, observe
+from jointplay.catalogue.matching.observation import Sensing, observe
 from jointplay.catalogue.storage.store import Catalogue
 
 MODEL = SpectraModel(300, wide=200)

@@ -10,7 +10,8 @@ from levels import defined_levels
 
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.matching.coherence import SCALE, common_noise, compose, decompose, noise_alike, with_more_noise
-from jointplay.catalogue.matching.observation import Discrepancy, Sensing, group, observe, round_sensing, round_up
+from jointplay.catalogue.matching.discrepancy import Discrepancy
+from jointplay.catalogue.matching.observation import Sensing, group, observe, round_sensing, round_up
 from jointplay.catalogue.matching.transfer import RandomTransfer
 from jointplay.catalogue.storage.cross_power import pack, pack_cyclic
 from jointplay.solver.spectra.sensor import rigid_body, sensor_transform

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,12 +11,21 @@ from in_order import off_by, recordings
 
 from jointplay.catalogue.diagnosing.baseline_levels import OrderLevels
 from jointplay.catalogue.diagnosing.causes import NamedCause, name_causes, name_changes
+from jointplay.catalogue.diagnosing.comparison import beside_past, exact_sensing, features_of
+from jointplay.catalogue.diagnosing.hearing import hear
+from jointplay.catalogue.diagnosing.known_machine import KnownMachine
 from jointplay.catalogue.diagnosing.past import PastComparison, compare_with_past
+from jointplay.catalogue.diagnosing.question import Question
 from jointplay.catalogue.diagnosing.verdict import OTHERWISE_BELOW
+from jointplay.catalogue.matching.matcher import MatchResult
+from jointplay.catalogue.matching.model_library import ModelLibrary
+from jointplay.catalogue.matching.observation import Sensing
 from jointplay.catalogue.plans.parameters import LOAD, MachineNumbers
 from jointplay.catalogue.plans.variants import Variant, output_load
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
+from jointplay.catalogue.signals.sensor_flaws import SensorContradiction
 from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.arrays import BoolArray, FloatArray
 from jointplay.solver.cases.case import Case
 
 #: A machine that is not as its file says: mass and inertia of the frame, stiffness in x and y, damping.
@@ -122,3 +132,52 @@ def test_recordings_by_other_sensors_are_not_compared(
     fewer = dataclasses.replace(now.sensing, sensors=now.sensing.sensors[:3])
     assert compare_with_past(now, [dataclasses.replace(before, sensing=fewer)], small_catalogue) is None
     assert compare_with_past(now, [], small_catalogue) is None
+
+
+class Listening(ModelLibrary):
+    """Has learned nothing beside a machine's past, and notes what it is asked."""
+
+    def hears_past(self, sensing: Sensing, speed: float) -> bool:
+        """Whatever it would answer."""
+        return True
+
+    def answer(
+        self, sensing: Sensing, feature: FloatArray, watched: BoolArray, *args: Any, **kwargs: Any
+    ) -> MatchResult:
+        """Answer by the recording alone."""
+        self.asked = getattr(self, "asked", (sensing, feature, kwargs["weights"]))  # again if a mount is softer
+        return super().answer(
+            dataclasses.replace(sensing, past=False), feature[: sensing.own_count], watched, *args, **kwargs
+        )
+
+
+def test_features_of_the_past_are_heard_behind_the_recording_s_own(
+    small_catalogue: Catalogue, visits: dict[str, PreparedMeasurement]
+) -> None:
+    past = {"a": visits["first"], "b": visits["second"]}
+    known = KnownMachine.of(past, small_catalogue)
+    library = Listening(small_catalogue.matrix)
+    heard = hear(visits["softer"], "c", small_catalogue, Question(), library, known=known)
+    sensing, feature, weights = library.asked
+    assert sensing.past and weights is None
+    assert feature.shape == (sensing.features_count,)
+    # As a machine as filed would have made them, all of them, and with the same noise.
+    straight = [known.baseline.correct(each, small_catalogue.machine) for each in (visits["softer"], *past.values())]
+    own = dataclasses.replace(sensing, past=False)
+    now, *before = (features_of(each, own) for each in straight)
+    np.testing.assert_allclose(feature, np.concatenate([now, np.mean(before, axis=0)]))
+    assert (sensing.noise >= [exact_sensing(each).noise for each in straight]).all()
+    # What is shown of the answer is the recording's own.
+    assert heard.feature.shape == (own.own_count,) and not heard.sensing.past
+
+
+def test_a_past_by_other_sensors_or_with_flaws_is_not_heard(visits: dict[str, PreparedMeasurement]) -> None:
+    now, before = visits["softer"], visits["first"]
+    assert beside_past(now, [before]) is not None
+    fewer = dataclasses.replace(before, cuts=before.cuts[:-1])
+    flaw = SensorContradiction("dead", ("s1-x",), "s1-x says nothing")
+    assert beside_past(now, [fewer, dataclasses.replace(before, flaws=(flaw,))]) is None
+    both = beside_past(now, [fewer, before])
+    alone = beside_past(now, [before])
+    assert both is not None and alone is not None
+    np.testing.assert_array_equal(both[1], alone[1])

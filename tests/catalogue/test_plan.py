@@ -33,12 +33,13 @@ def entries_of_preset(name: str) -> tuple[Entry, ...]:
 
 def test_presets_hold_what_they_say() -> None:
     quick = entries_of_preset("quick")
-    assert counted(quick) == {"healthy": 256, **dict.fromkeys("ACEFO", 192)}
+    # A half of the machines in order are there on another day, too.
+    assert counted(quick) == {"healthy": 256 + 128, **dict.fromkeys("ACEFO", 192)}
     standard = entries_of_preset("standard")
     pairs, triples = (["+".join(worn) for worn in itertools.combinations("ACEFO", count)] for count in (2, 3))
     # As many again in which the machine's own data are uncertain.
     numbers = {
-        "healthy": 512,
+        "healthy": 576 + 288,
         **dict.fromkeys("ACEFO", 576),
         **dict.fromkeys(pairs, 576),
         **dict.fromkeys(triples, 576),
@@ -130,6 +131,40 @@ def test_a_draw_is_one_machine_at_every_speed() -> None:
         assert 0.5 * 0.97 / 1.03 < ratio < 0.5 * 1.03 / 0.97
 
 
+def test_a_draw_is_one_machine_in_order_and_worn() -> None:
+    """All that is not of the day is the same, but the clearance of what wears; and in order it is there twice."""
+    counts = {**draws(pair=8), "healthy": 8, "single": 8, "again": 3}
+    plan = plan_of(hypotheses=["healthy", "singles"], draws=counts, fits={"silent": 0}, wide={"draws": 1})
+    entries = entries_of(plan, QUICK_RETURN)
+    sound = {(e.stratum, e.draw): e for e in reversed(entries) if not e.worn}
+    again = [e for e in entries if not e.worn and e is not sound[e.stratum, e.draw]]
+    assert Counter(e.stratum for e in again) == {"trusted": 3, "wide": 3}
+    assert {(e.stratum, e.draw) for e in again} == {
+        *itertools.product(["trusted"], (0, 1, 2)),
+        *itertools.product(["wide"], (0, 2, 4)),
+    }
+    # Every other wide draw is of a machine by itself.
+    others = [e for e in entries if e.stratum == "wide" and e.draw % 2]
+    assert len({e.parameters["links.frame.mass"] for e in others}) == len(others) == 4 * 6
+    worn = [e for e in entries if e.worn and e not in others]
+    assert len(worn) == 5 * (8 + 4)
+    of_the_day = ("drive.speed", "loads.")
+    for entry in [*again, *worn]:
+        before = sound[entry.stratum, entry.draw]
+        assert entry.variant == before.variant
+        play, its_play = sizes_of(before), sizes_of(entry)
+        assert {joint for joint in play if its_play[joint] != play[joint]} == set(entry.worn)
+        assert entry.parameters.keys() == before.parameters.keys()
+        differ = {path for path, value in entry.parameters.items() if before.parameters[path] != value}
+        assert differ == {p for p in entry.parameters if p.startswith(of_the_day) or p.endswith("contact.friction")}
+        oil = [entry.parameters[p] / before.parameters[p] for p in differ if p.endswith("friction")]
+        assert 0.5 < min(oil) < 2.0 and max(oil) == pytest.approx(min(oil))
+    # The wear of a machine says nothing of its play as new.
+    for joint in "ACEFO":
+        pairs = [(sizes_of(e)[joint], sizes_of(sound[e.stratum, e.draw])[joint]) for e in worn if e.worn == (joint,)]
+        assert abs(np.corrcoef(np.log(pairs).T)[0, 1]) < 0.8  # of twelve; the same ranks: 1
+
+
 def test_a_draw_is_one_machine_under_every_load() -> None:
     """What belongs to the machine is the same; the load is about what the plan says, besides what is drawn of it."""
     uncertain = {
@@ -219,9 +254,10 @@ def test_numbers_of_one_draw_are_not_tied_to_each_other() -> None:
         assert table.shape[1] == (28 if stratum == "trusted" else 47)
         ranks = table.argsort(axis=0).argsort(axis=0)
         off_diagonal = np.abs(np.corrcoef(ranks.T) - np.eye(table.shape[1]))
-        # Measured: 0.08 of 378 pairs, 0.19 of 1081; root mean square 0.012, 0.016. Independent draws: 0.15, 0.044.
+        # Measured: 0.09 of 378 pairs, 0.21 of 1081, half of whose draws are another sequence, and many of whose numbers
+        # are of the day and drawn by chance; root mean square 0.016, 0.031. Independent draws: 0.15, 0.044.
         assert off_diagonal.max() < (0.15 if stratum == "trusted" else 0.25)
-        assert np.sqrt(np.mean(off_diagonal**2)) < 0.03
+        assert np.sqrt(np.mean(off_diagonal**2)) < (0.03 if stratum == "trusted" else 0.038)
 
 
 def test_laws_are_drawn_by_their_weights() -> None:
@@ -333,9 +369,11 @@ def test_a_drawn_ripple_and_load_are_those_of_a_file() -> None:
 def test_a_plan_is_shown_in_words() -> None:
     lines = plan_lines(preset("standard"), QUICK_RETURN)
     resolved = preset("standard").resolve(QUICK_RETURN)
-    assert lines[0] == f"plan standard, {resolved.hash[:12]}: 29824 cases (14912 trusted, 14912 wide)"
+    assert lines[0] == f"plan standard, {resolved.hash[:12]}: 30528 cases (15264 trusted, 15264 wide)"
     assert lines[1] == "hypotheses: healthy, 5 of a single, 10 of a pair, 10 of a triple"
-    assert lines[2] == "draws: healthy 512, single 576, pair 576, larger 576"
+    assert (
+        lines[2] == "draws: healthy 576, single 576, pair 576, larger 576; 288 of the healthy ones on another day, too"
+    )
     assert lines[3] == (
         "clearance: worn 25-2000 um (one alone to 2 times that), fits 3-20 um, next to none in 10 % of "
         "them, none at all in 25 % of the machines"

@@ -12,8 +12,9 @@ from recordings import RECORDINGS
 from jointplay.catalogue.building.build import build
 from jointplay.catalogue.diagnosing.comparison import exact_sensing
 from jointplay.catalogue.diagnosing.separation import _more_sensors, _sensing, _Separation, foresee, suggest
+from jointplay.catalogue.matching.discrepancy import Discrepancy
 from jointplay.catalogue.matching.matcher import ClearanceEstimate, HypothesisMatch, MatchResult
-from jointplay.catalogue.matching.observation import Discrepancy, Sensing, observe
+from jointplay.catalogue.matching.observation import Sensing, observe
 from jointplay.catalogue.measurements.measurement import Recording, read_measurement
 from jointplay.catalogue.plans.plan import parse_plan
 from jointplay.catalogue.signals.features import prepare
