@@ -50,10 +50,10 @@ def of_product(catalogue: Catalogue, sensing: Sensing, watched: NDArray[np.bool_
     """Return the product's P(worn) (m, joints)."""
     learning = Learning.of("trusted")
     speed = catalogue.matrix.nominal_speed
-    network = NetworkShelf.of(catalogue).get(sensing, learning, speed)
-    if network is None:
+    networks = NetworkShelf.of(catalogue).every(sensing, learning, speed)
+    if networks.hypotheses is None:
         raise SystemExit(f"{catalogue.path}: has no network: build it again, which trains what is missing")
-    model = library_of(catalogue).fit(Observed(sensing, np.empty(0), watched, speed), learning, network)
+    model = library_of(catalogue).fit(Observed(sensing, np.empty(0), watched, speed), learning, networks)
     prior = np.array([draws.prior for draws in held.hypotheses])
     posterior = model.posterior(held.stack()[0]) / prior
     member = np.array([[joint in known.joints for joint in held.joints] for known in held.hypotheses], np.float64)

@@ -20,8 +20,7 @@ from jointplay.catalogue.matching.learning import Learning, SpectraSource, band_
 from jointplay.catalogue.matching.matcher import MatchResult, TrainingSet
 from jointplay.catalogue.matching.modelfile import age_key, as_read, read_model, write_model
 from jointplay.catalogue.matching.modes import Effort, ModeAsked
-from jointplay.catalogue.matching.network import Network
-from jointplay.catalogue.matching.network_shelf import NetworkShelf
+from jointplay.catalogue.matching.network_shelf import Networks, NetworkShelf
 from jointplay.catalogue.matching.observation import Sensing, round_sensing
 from jointplay.catalogue.matching.refit import Refit, blend, merge
 from jointplay.catalogue.plans.entry import content_digest
@@ -134,22 +133,21 @@ class ModelLibrary:
 
     def hears_past(self, sensing: Sensing, speed: float) -> bool:
         """Whether it has learned what machines differ by from their own past, as such sensors see it."""
-        since = replace(Learning.of("trusted"), subject="since")
-        return self._networks is not None and self._networks.get(sensing, since, speed) is not None
+        if self._networks is None:
+            return False
+        learning = Learning.of("trusted")
+        asked = (learning, replace(learning, subject="since"))
+        return all(self._networks.get(sensing, each, speed) is not None for each in asked)
 
     def fit(
         self,
         observed: Observed,
         learning: Learning,
-        network: Network | None = None,
-        strata: Network | None = None,
+        networks: Networks | None = None,
     ) -> FittedGaussian:
         """Return a model fitted to exactly this sensing; from memory or a file if it is known."""
-        widths = band_widths(self._matrix)
-        opinion, witness = (
-            None if each is None else each.opinion(observed.sensing, widths) for each in (network, strata)
-        )
-        judges = [None if each is None else each.network.digest for each in (opinion, witness)]
+        opinion, witness = (networks or Networks()).opinions(observed.sensing, band_widths(self._matrix))
+        judges = [None if each is None else each.digest for each in (opinion, witness)]
         key = self.key(observed, learning, judges)
         with self._lock:
             known = self._known.get(key)
@@ -212,21 +210,16 @@ class ModelLibrary:
         """Return the answer of one mode."""
         coarse = self.coarse(observed)
         sensing, speed, weights = observed.sensing, observed.speed, observed.weights
-        network, strata, notes = None, None, self.notes(learning)
+        networks, notes = Networks(), self.notes(learning)
         # Where entries have weights none counts: a network has learned all entries alike.
         if self._networks is not None and weights is None:
-            asked_of = replace(learning, subject="since") if sensing.past else learning
-            network = self._networks.get(sensing, asked_of, speed)
-            if learning.mode == "trusted":
-                strata = self._networks.get(sensing, replace(learning, subject="strata"), speed)
-            if network is None and self._networks.applies(sensing, asked_of, speed):
+            networks = self._networks.every(sensing, learning, speed)
+            if networks.hypotheses is None and self._networks.applies(sensing, learning, speed):
                 notes = (*notes, "the catalogue's networks are not trained yet: building it again does that")
-        model = self.fit(coarse, learning, network, strata)
-        asked = model.opinion.network.digest if model.opinion else None
+        model = self.fit(coarse, learning, networks)
+        asked = model.opinion.digest if model.opinion else None
         looked_up = replace(model.match(coarse.feature), mode=learning.mode, notes=notes, network=asked)
-        refit = Refit(
-            self._matrix, model, learning, speed, weights, network if asked else None, strata if model.witness else None
-        )
+        refit = Refit(self._matrix, model, learning, speed, weights, networks if asked else Networks())
         # A network knows any noise: beside it a refit tells more only where there is more to learn from.
         if effort == "fast" or (asked and not refit.has_more_entries(looked_up)):
             return looked_up

@@ -49,6 +49,9 @@ class Network:
         Of each layer, (outputs,).
     quietest, loudest : float
         Mean noise of the channels it was trained for, dB re 1 (m/s2)^2/Hz.
+    past : bool
+        Whether the d features are what a recording differs by from those of the machine in order, levels and
+        coherences.
     """
 
     labels: tuple[str, ...]
@@ -58,6 +61,7 @@ class Network:
     biases: tuple[FloatArray, ...]
     quietest: float
     loudest: float
+    past: bool = False
 
     def opinion(self, sensing: Sensing, width: FloatArray) -> Opinion | None:
         """Return its opinion on recordings of some sensors and noise, in bands of some width (G,), Hz.
@@ -69,16 +73,15 @@ class Network:
         lacking = self.quietest - float(np.mean(level))
         if float(np.mean(level)) > self.loudest:
             return None
-        heard = replace(sensing, past=sensing.own_count + len(level) < len(self.centre))
         if lacking <= 0.0:
-            return Opinion(self, level, np.zeros(noise.shape), heard.alike, heard.past)
+            return Opinion(self, level, np.zeros(noise.shape), sensing.alike)
         missing = noise * (10.0 ** (0.1 * lacking) - 1.0)
-        return Opinion(self, level + lacking, missing, heard.alike, heard.past)
+        return Opinion(self, level + lacking, missing, sensing.alike)
 
     @cached_property
     def digest(self) -> str:
         """SHA-256 of everything it is."""
-        found = hashlib.sha256(repr((self.labels, self.quietest, self.loudest)).encode())
+        found = hashlib.sha256(repr((self.labels, self.quietest, self.loudest, *["past"] * self.past)).encode())
         for array in (self.centre, self.scale, *self.weights, *self.biases):
             found.update(np.ascontiguousarray(array, np.float64).tobytes())
         return found.hexdigest()
@@ -106,24 +109,36 @@ class Opinion:
         Noise power that is added before features are shown to it.
     alike : ndarray, shape (p,)
         Correlation of the noise of pairs of channels.
-    past : bool
-        Whether it hears the machine's own past, too, which stands behind the features of the recording.
+    since : Opinion, optional
+        Of a network that hears the machine's own past, which counts as much.
     """
 
     network: Network
     noise_db: FloatArray
     missing: FloatArray
     alike: FloatArray
-    past: bool = False
+    since: Opinion | None = None
+
+    @property
+    def digest(self) -> str:
+        """Of the networks that are asked."""
+        own = self.network.digest
+        return own if self.since is None else hashlib.sha256((own + self.since.digest).encode()).hexdigest()
 
     def log_evidences(self, features: FloatArray, labels: Sequence[str]) -> FloatArray:
-        """Return log likelihoods (m, labels), up to a constant of each row, of features (m, d)."""
+        """Return log likelihoods (m, labels), up to a constant of each row, of features (m, d).
+
+        Those of the machine's own past stand behind those of the recording, where it is there.
+        """
         columns = [self.network.labels.index(label) for label in labels]
-        heard = features[:, : len(self.network.centre) - len(self.noise_db)]
-        parts = np.split(heard, 2, axis=1) if self.past else [heard]
-        shown = np.hstack([with_more_noise(part, self.missing, self.alike) for part in parts])
+        count = len(self.network.centre) - len(self.noise_db)
+        if self.network.past:
+            now, before = (with_more_noise(part, self.missing, self.alike) for part in np.split(features, 2, axis=1))
+            shown = differences(now, before, count)
+        else:
+            shown = with_more_noise(features[:, :count], self.missing, self.alike)
         found: FloatArray = self.network.log_likelihoods(shown, self.noise_db)[:, columns]
-        return found
+        return found if self.since is None else found + self.since.log_evidences(features, labels)
 
     def doubts(self, features: FloatArray) -> FloatArray:
         """Return by how much features (m, d) are rather of machines that differ from their file, log (m,).
@@ -133,6 +148,14 @@ class Opinion:
         found = self.log_evidences(features, (AS_FILED, DIFFERS))
         ratio: FloatArray = found[:, 1] - found[:, 0]
         return ratio
+
+
+def differences(now: FloatArray, before: FloatArray, plain: int) -> FloatArray:
+    """Return what features (n, d) of recordings differ by from those of the machines in order, levels and coherences.
+
+    What is locked to the crank says nothing more, and is learned by heart: docs/decisions/0200.
+    """
+    return np.asarray(now[:, :plain] - before[:, :plain])
 
 
 def density_db(noise: FloatArray, width: FloatArray) -> FloatArray:
@@ -256,10 +279,6 @@ class NetworkTraining:
             inputs, index, noise = self._recordings(
                 matrix, sensing, learning, pools, count, lambda done: tell(done, total)
             )
-            if sensing.past:
-                # What is learned from is the recording, and how it differs from those before.
-                own = sensing.own_count
-                inputs[:, own : 2 * own] = inputs[:, :own] - inputs[:, own : 2 * own]
             centre, scale = inputs.mean(axis=0), inputs.std(axis=0) + 1e-6
             # In place: of a machine with forty bands they are 0.6 GB.
             inputs -= centre
@@ -274,15 +293,8 @@ class NetworkTraining:
         if len(labels) == 2:
             # One output, the second hypothesis against the first.
             weights[-1], biases[-1] = np.c_[0.0 * weights[-1], weights[-1]], np.r_[0.0 * biases[-1], biases[-1]]
-        centre, scale = centre.astype(np.float64), scale.astype(np.float64)
-        if sensing.past:
-            # The same of what it will be shown: the recording, and those before.
-            own, first = sensing.own_count, weights[0] / scale[:, None]
-            first[:own] += first[own : 2 * own]
-            first[own : 2 * own] *= -1.0
-            biases[0] = biases[0] - (centre / scale) @ weights[0]
-            weights[0], centre, scale = first, np.zeros_like(centre), np.ones_like(scale)
-        return Network(labels, centre, scale, tuple(weights), tuple(biases), *noise)
+        wide = (centre.astype(np.float64), scale.astype(np.float64))
+        return Network(labels, *wide, tuple(weights), tuple(biases), *noise, past=sensing.past)
 
     def _recordings(
         self,
@@ -320,6 +332,9 @@ class NetworkTraining:
                 features, _ = observe(
                     matrix.packed(some), seen, learning.discrepancy, copies, seed, edges_hz, past=past
                 )
+                if past is not None:
+                    now, before = np.split(features, 2, axis=1)
+                    features = differences(now, before, sensing.plain_count)
                 noise = np.broadcast_to(density_db(seen.noise, width), (len(features), len(own_db)))
                 inputs.append(np.concatenate([features, noise], axis=1).astype(np.float32))
                 index.append(np.full(len(features), number % 2 if learning.subject == "strata" else number))

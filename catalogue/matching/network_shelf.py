@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,7 @@ from jointplay.catalogue.errors import CatalogueFileError
 from jointplay.catalogue.matching.learning import Learning, SpectraSource
 from jointplay.catalogue.matching.modelfile import read_network, write_network
 from jointplay.catalogue.matching.modes import Mode
-from jointplay.catalogue.matching.network import Network, NetworkTraining
+from jointplay.catalogue.matching.network import Network, NetworkTraining, Opinion
 from jointplay.catalogue.matching.observation import Sensing
 from jointplay.catalogue.plans.entry import content_digest
 from jointplay.catalogue.signals.sensors import choose_channels, free_motions
@@ -29,6 +29,36 @@ from jointplay.solver.machines.machine import Machine
 MODES: tuple[Mode, ...] = ("trusted", "robust")
 
 Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Networks:
+    """Networks for a recording, each where it is there.
+
+    Parameters
+    ----------
+    hypotheses : Network, optional
+        That tells hypotheses apart by the recording.
+    since : Network, optional
+        That does by how it differs from the machine's own past.
+    strata : Network, optional
+        That says whether the machine differs from its file.
+    """
+
+    hypotheses: Network | None = None
+    since: Network | None = None
+    strata: Network | None = None
+
+    def opinions(self, sensing: Sensing, width: FloatArray) -> tuple[Opinion | None, Opinion | None]:
+        """Return what they say of hypotheses, and of strata, for recordings of some noise in bands (G,), Hz.
+
+        What recordings of a noise that nobody has trained say is left to the curves.
+        """
+        own, since, strata = (
+            None if each is None else each.opinion(sensing, width)
+            for each in (self.hypotheses, self.since, self.strata)
+        )
+        return None if own is None else replace(own, since=since), strata
 
 
 class NetworkShelf:
@@ -131,6 +161,15 @@ class NetworkShelf:
         if not self.applies(sensing, learning, speed):
             return None
         return self._find(self._key(learning, speed))
+
+    def every(self, sensing: Sensing, learning: Learning, speed: float | None) -> Networks:
+        """Return all networks for a recording, arguments as for :meth:`get`."""
+        since, strata = replace(learning, subject="since"), replace(learning, subject="strata")
+        return Networks(
+            self.get(sensing, learning, speed),
+            self.get(sensing, since, speed) if sensing.past else None,
+            self.get(sensing, strata, speed) if learning.mode == "trusted" else None,
+        )
 
     def _find(self, key: str) -> Network | None:
         with self._lock:

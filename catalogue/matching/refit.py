@@ -6,14 +6,14 @@ A refit knows the noise of the recording, the hypotheses it leaves open, and the
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from jointplay.catalogue.matching.gaussian import FittedGaussian, fit_gaussian
 from jointplay.catalogue.matching.learning import Learning, SpectraSource, band_widths, rows_of, training_set
 from jointplay.catalogue.matching.matcher import HypothesisMatch, MatchResult, rank
-from jointplay.catalogue.matching.network import Network
+from jointplay.catalogue.matching.network_shelf import Networks
 from jointplay.catalogue.matching.observation import Sensing
 from jointplay.solver.arrays import BoolArray, FloatArray, IntArray
 
@@ -41,10 +41,8 @@ class Refit:
         Drive speed, rad/s.
     weights : ndarray, shape (rows of the matrix,), optional
         How much each entry counts.
-    network : Network, optional
-        Whose opinion counts, too.
-    strata : Network, optional
-        That says whether the machine differs from its file.
+    networks : Networks
+        Whose opinions count, too.
     """
 
     matrix: SpectraSource
@@ -52,17 +50,13 @@ class Refit:
     learning: Learning
     speed: float | None = None
     weights: FloatArray | None = None
-    network: Network | None = None
-    strata: Network | None = None
+    networks: Networks = field(default_factory=Networks)
 
     def match(self, sensing: Sensing, feature: FloatArray, watched: BoolArray, first: MatchResult) -> MatchResult:
         """Return the answer among the hypotheses that `first` leaves open."""
         rows = {match.label: self._rows(match) for match in _open(first)}
         training = training_set(self.matrix, sensing, watched, self.learning, rows=rows, weights=self.weights)
-        widths = band_widths(self.matrix)
-        opinion, witness = (
-            None if network is None else network.opinion(sensing, widths) for network in (self.network, self.strata)
-        )
+        opinion, witness = self.networks.opinions(sensing, band_widths(self.matrix))
         return fit_gaussian(training, self.model.model.projection, opinion, witness).match(feature)
 
     def has_more_entries(self, first: MatchResult) -> bool:
