@@ -30,11 +30,11 @@ QUICK = {"machine": "slider-crank", "plan": "quick", "catalogue": "mine"}
 def test_a_dry_run_says_time_and_size_and_writes_nothing(tmp_path: Path) -> None:
     asked = ("build", "slider-crank", "--catalogue", tmp_path / "c", "--plan", "quick", "--dry-run", "--workers", "3")
     document = json.loads(invoke(*asked, "--json").stdout)
-    assert (document["cases"], document["present"], document["workers"]) == (832, 0, 3)
+    assert (document["cases"], document["present"], document["workers"]) == (960, 0, 3)
     assert document["seconds"] >= document["seconds_idle"] > 0
     assert 2e6 < document["size_bytes"] < 50e6
     said = invoke(*asked).stdout
-    assert re.fullmatch(rf"{tmp_path / 'c'}: 832 cases: .* by 3 processes and \d+ MB, by \d+ cases .*\n", said)
+    assert re.fullmatch(rf"{tmp_path / 'c'}: 960 cases: .* by 3 processes and \d+ MB, by \d+ cases .*\n", said)
     assert not list(tmp_path.iterdir())
     assert_refused(invoke(*asked[:-2], "--scheduler", "tcp://127.0.0.1:1"), 2, "--dry-run is for processes here")
 
@@ -57,7 +57,7 @@ def test_a_forecast_over_http_and_on_the_page(client: httpx.Client) -> None:
     answer = client.post("/api/v1/forecasts", json=QUICK)
     assert answer.status_code == 200, answer.text
     found = answer.json()
-    assert (found["cases"], found["present"]) == (832, 0)
+    assert (found["cases"], found["present"]) == (960, 0)
     assert client.post("/api/v1/forecasts", json=QUICK).json() == found, "kept for a while"
     refused = client.post("/api/v1/forecasts", json={**QUICK, "machine": "none"})
     assert (refused.status_code, refused.json()["errors"][0]["field"]) == (422, "machine")

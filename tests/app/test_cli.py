@@ -220,7 +220,7 @@ def test_ctrl_c_ends_with_130(tmp_path: Path) -> None:
         shown = list(itertools.takewhile(lambda line: not line.startswith("building: 0 of "), process.stderr))
         process.send_signal(signal.SIGINT)
         assert process.wait(300) == 130
-        assert re.fullmatch(r"plan standard, [0-9a-f]{12}: 29824 cases \(14912 trusted, 14912 wide\)\n", shown[0])
+        assert re.fullmatch(r"plan standard, [0-9a-f]{12}: 30528 cases \(15264 trusted, 15264 wide\)\n", shown[0])
         assert "hypotheses: healthy, 5 of a single, 10 of a pair, 10 of a triple\n" in shown
         assert process.stderr.read().splitlines()[-1] == "jointplay: interrupted"
 

@@ -76,7 +76,7 @@ def test_a_repair_that_somebody_reports_counts(client: httpx.Client) -> None:
 def test_recordings_that_have_several_answers_together_count_in_the_newest(client: httpx.Client) -> None:
     asset = "crank-heard-together"
     client.put(f"{API}/assets/{asset}", json={"machine": "slider-crank"}).raise_for_status()
-    keys = [diagnose(client, number, asset)["measurement"] for number in (2, 5, 3)]
+    keys = [diagnose(client, number, asset)["measurement"] for number in (2, 5, 1)]
     for together in (keys[:2], keys[:2][::-1], keys):
         body = {"measurements": together, "catalogue": "slider-crank", "asset": asset, "effort": "fast"}
         assert client.post(f"{API}/diagnoses", json=body).status_code == 201

@@ -42,6 +42,7 @@ TREE: dict[str, Any] = {
     "clearance": {"low": "40 um", "high": "0.8 mm", "beyond": 1},
     "draws": {"healthy": 48, "single": 48},
     "seconds": 0.5,
+    "seed": 5,
 }
 PLAY = {"O": 8e-6, "A": 6e-6, "B": 12e-6, "D": 9e-6}
 RATE = 12_800.0
@@ -177,7 +178,9 @@ def test_evaluations_draw_motors_too() -> None:
 
 
 def outcomes(count: int = 4) -> tuple[Chunk, tuple[CaseOutcome, ...]]:
-    plan = plan_of(draws={"healthy": 1, "single": count}, sets=[["D"]], guard=0)
+    # Of nine seeds five have a case among eight that has two limit cycles, or alternates, so that a run-up ends in
+    # other levels than a start near one of them (by 0.3 to 1.6 dB in the mean). Those of this one have one each.
+    plan = plan_of(draws={"healthy": 1, "single": count}, sets=[["D"]], guard=0, seed=4)
     entries = [entry for entry in entries_of(plan, MACHINE) if entry.worn]
     chunk = cut_chunks(MACHINE, plan.recipe(MACHINE), entries, 8)[0]
     return chunk, simulate_chunk(chunk)

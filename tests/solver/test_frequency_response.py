@@ -163,7 +163,7 @@ def test_an_entry_of_a_catalogue_is_what_sensors_take_for_a_rigid_frame() -> Non
     tree = tree_of(own, lines, accelerances(own.model_copy(update={"supports": soft}), lines))
     machine = parse_machine(own.model_dump() | {"response": tree})
     plan = parse_plan({"hypotheses": ["healthy"], "sets": [["B"]], "laws": {"own": 1}, "guard": 0, "seconds": 1.0,
-                       "draws": {"healthy": 48, "single": 48}})  # fmt: skip
+                       "seed": 2, "draws": {"healthy": 48, "single": 48}})  # fmt: skip
     entry = next(each for each in entries_of(plan, machine) if each.hypothesis.label == "B")
     recipe = plan.recipe(machine)
     (outcome,) = simulate_chunk(Chunk(machine.canonical_json(), recipe, (entry,)))
