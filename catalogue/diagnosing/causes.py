@@ -179,8 +179,8 @@ class _Scored:
     def is_meant(self) -> bool:
         """Whether this is a change that this machine may have: not much more of one than searches start from.
 
-        No more than twice the largest force, and of masses and springs no factor below half the least or above one and
-        a half of the largest. What only other ones by far explain is no recording of this machine: one of a shaper was
+        No more than twice the largest force, and of masses and springs no factor below half the least or above 1.8
+        times the largest. What only others by far explain is no recording of this machine: one of a shaper was
         explained by mounts four times as stiff.
         """
         if self.family is None:
@@ -188,7 +188,7 @@ class _Scored:
         sizes = [abs(self.family.size(numbers)) for numbers in self.family.starts]
         size = self.family.size(self.numbers)
         if self.family.unit.startswith("x "):
-            return min(sizes) / 2.0 < size < 1.5 * max(sizes)
+            return min(sizes) / 2.0 < size < 1.8 * max(sizes)
         return abs(size) < 2.0 * max(sizes)
 
 
