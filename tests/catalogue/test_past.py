@@ -11,12 +11,12 @@ from in_order import off_by, recordings
 
 from jointplay.catalogue.diagnosing.baseline_levels import OrderLevels
 from jointplay.catalogue.diagnosing.causes import NamedCause, name_causes, name_changes
-from jointplay.catalogue.diagnosing.comparison import beside_past, exact_sensing, features_of
+from jointplay.catalogue.diagnosing.comparison import beside_past, exact_sensing, features_of, watched_levels
 from jointplay.catalogue.diagnosing.hearing import hear
 from jointplay.catalogue.diagnosing.known_machine import KnownMachine
 from jointplay.catalogue.diagnosing.past import PastComparison, compare_with_past
 from jointplay.catalogue.diagnosing.question import Question
-from jointplay.catalogue.diagnosing.verdict import OTHERWISE_BELOW
+from jointplay.catalogue.diagnosing.verdict import OTHERWISE_BELOW, find_causes
 from jointplay.catalogue.matching.matcher import MatchResult
 from jointplay.catalogue.matching.model_library import ModelLibrary
 from jointplay.catalogue.matching.observation import Sensing
@@ -169,6 +169,21 @@ def test_features_of_the_past_are_heard_behind_the_recording_s_own(
     assert (sensing.noise >= [exact_sensing(each).noise for each in straight]).all()
     # What is shown of the answer is the recording's own.
     assert heard.feature.shape == (own.own_count,) and not heard.sensing.past
+
+
+def test_what_the_baseline_has_as_well_is_no_cause(
+    small_catalogue: Catalogue, visits: dict[str, PreparedMeasurement]
+) -> None:
+    """A mount that was soft when the machine was in order is its own; beside another past it is a cause."""
+    now = visits["softest"]
+    asked = exact_sensing(now)
+    result = ModelLibrary(small_catalogue.matrix).answer(
+        asked, features_of(now, asked), watched_levels(now), "fast", "trusted", speed=now.drive_speed
+    )
+    found = find_causes(now, small_catalogue, result)
+    assert found and found[0].name == "mount 1"
+    assert find_causes(now, small_catalogue, result, None, [visits["first"]])[0].name == "mount 1"
+    assert "mount 1" not in {cause.name for cause in find_causes(now, small_catalogue, result, None, [now])}
 
 
 def test_a_past_by_other_sensors_or_with_flaws_is_not_heard(visits: dict[str, PreparedMeasurement]) -> None:

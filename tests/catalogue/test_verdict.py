@@ -79,6 +79,18 @@ def test_a_machine_that_is_not_as_it_was_is_not_in_order() -> None:
     assert judge(in_order, 0.95, [replace(faint, since=True)]) == (0.5, "changed")
 
 
+def test_a_machine_that_is_as_it_was_is_in_order_whatever_its_file_says() -> None:
+    at, below = OTHERWISE_BELOW, 0.99 * OTHERWISE_BELOW
+    for fits in (0.5, 1e-3):
+        other = answer(1e-6, healthy=(0.98, fits), A=(0.02, fits))
+        assert judge(other, 0.95, p_since=at)[1] == "in_order"
+        assert judge(other, 0.95, p_since=below)[1] == judge(other, 0.95)[1] == ("changed" if fits > 0.1 else "unknown")
+    # Wear that is likelier than none is not in order, and has to be nearly sure.
+    likely, sure = (answer(1e-6, A=(p, 0.5), healthy=(1.0 - p, 0.5)) for p in (0.8, 0.95))
+    assert judge(likely, 0.95, p_since=at) == (0.5, "unknown")
+    assert judge(sure, 0.95, p_since=at) == (0.5, "worn")
+
+
 def test_a_machine_is_not_as_filed_below_a_p_value() -> None:
     for trusted_p, needed in ((None, False), (0.5, False), (CHANGED_BELOW, False), (0.99 * CHANGED_BELOW, True)):
         assert needs_cause(answer(trusted_p, healthy=(0.9, 0.5), A=(0.1, 0.5))) is needed
