@@ -38,8 +38,8 @@ STARTING_S = 6.0
 TRAINING_S = 2.5e-5
 """Processor time of a recording in a pass of a network's training; making it takes as long."""
 
-BESIDE_PAST = 2.0
-"""The same of networks that hear two recordings, as a factor: they have twice the inputs."""
+BESIDE_PAST = 1.5
+"""The same of networks that hear two recordings, as a factor: making these takes twice as long."""
 
 
 @dataclass(frozen=True)

@@ -90,6 +90,8 @@ def hear(
             speed = catalogue.matrix.nearest_speed(prepared.drive_speed)
             before = [each for each in earlier if catalogue.matrix.nearest_speed(each.drive_speed) == speed]
         prepared = known.baseline.correct(prepared, catalogue.machine)
+        if beside_past(prepared, before) is None:
+            before = []
         # A recording that was converted is of the machine file's frame and supports: no entries are nearer to it.
         if not before and all(step.name != "suspension" for step in prepared.steps):
             weights = known.weights(catalogue)
@@ -118,7 +120,7 @@ def hear(
             spent = EffortSpent(simulations=0, generations=0, note="the sensors contradict each other")
         elif causes and not causes[0].name.startswith("load"):
             spent = EffortSpent(simulations=0, generations=0, note="the machine is not as its file says")
-        elif weights is not None:
+        elif weights is not None or before:
             note = "the baseline says more of the machine's numbers than its file, which is simulated"
             spent = EffortSpent(simulations=0, generations=0, note=note)
         else:

@@ -64,8 +64,8 @@ def judge(
     order either, and neither is one that is not as it was: beside its own past it has a p-value `p_since` below
     :data:`OTHERWISE_BELOW`, or a cause explains the difference. What is neither nearly surely worn, nor in order rather
     than not, is unknown where the machine is doubted. So is what sensors say that are not what the file says of them.
-    A machine that is as it was when it was in order, `p_since` no less than that, is as it was whatever its file says:
-    if no wear is likelier than none, it is in order.
+    A machine that is as it was when it was in order, `p_since` no less than that, is judged as one that is as filed,
+    whatever its file says: if no wear is likelier than none, it is in order.
     """
     p_value = result.p_value_within(coverage)
     if flaws:
@@ -114,12 +114,13 @@ def find_causes(
     speed = prepared.drive_speed
     worn = [(match.label, _nearest(catalogue, match, speed)) for match in result.hypotheses[:1] if match.joints]
     found = name_causes(prepared, catalogue, worn, small=needs_cause(result))
-    if found and earlier:
-        had = {cause.name for each in earlier for cause in name_causes(each, catalogue, small=True)}
-        found = tuple(cause for cause in found if cause.name not in had)
+    if found:
+        steady = [each for each in earlier if not each.flaws and not speed_warnings(each, catalogue)]
+        had = {cause.name for each in steady for cause in name_causes(each, catalogue, small=True)}
+        return tuple(cause for cause in found if cause.name not in had)
     # Beside wear it has not been measured.
-    mode = None if found or worn else find_mode(prepared, catalogue)
-    return (mode,) if mode else found
+    mode = None if worn else find_mode(prepared, catalogue)
+    return (mode,) if mode else ()
 
 
 def _nearest(catalogue: Catalogue, match: HypothesisMatch, speed: float) -> IntArray:

@@ -8,11 +8,13 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
 
+from jointplay.catalogue.diagnosing.answer import Answer
 from jointplay.catalogue.diagnosing.diagnosis import diagnose
 from jointplay.catalogue.errors import DiagnosisError, MeasurementError
 from jointplay.catalogue.evaluation.life_figures import Life, LifeFigure, LifeVisit, figures_of_lives, judge_life
@@ -129,12 +131,8 @@ def evaluate_lives(
             None if (signal := signals[place]) is None else recorded(_PROTOCOL, truth, signal)
             for place, truth in enumerate(drawn.truths)
         ]
-        past = [each for each in made[:BASELINES] if each is not None]
-        visits = [
-            visit if recording is None else _heard(visit, recording, past, catalogue)
-            for visit, recording in zip(drawn.life.visits, made, strict=True)
-        ]
-        judged.append(judge_life(replace(drawn.life, visits=tuple(visits)), bounds))
+        visits = _hear(drawn.life.visits, made, catalogue)
+        judged.append(judge_life(replace(drawn.life, visits=visits), bounds))
         if progress is not None:
             progress(number * VISITS, count * VISITS)
     figures = figures_of_lives(judged)
@@ -143,15 +141,22 @@ def evaluate_lives(
     return LifeStudy(machine.name, catalogue.id, seed, count, figures)
 
 
-def _heard(visit: LifeVisit, recording: Recording, past: Sequence[Recording], catalogue: Catalogue) -> LifeVisit:
-    """The visit with its answers, beside earlier recordings and alone; as it was where the recording is refused."""
-    before = [each for each in past if each.sha256 != recording.sha256]
-    try:
-        alone = diagnose(recording, catalogue)
-        answer = diagnose(recording, catalogue, baseline=before) if before else alone
-    except MeasurementError:
-        return visit
-    return replace(visit, sha256=recording.sha256, answer=answer, alone=alone)
+def _hear(visits: Sequence[LifeVisit], made: Sequence[Recording | None], catalogue: Catalogue) -> tuple[LifeVisit, ...]:
+    """The visits with their answers, alone and beside the first recordings; as they were where one is refused."""
+    alone: dict[int, Answer] = {}
+    for place, recording in enumerate(made):
+        with suppress(MeasurementError):
+            if recording is not None:
+                alone[place] = diagnose(recording, catalogue)
+    past = [each for place, each in enumerate(made[:BASELINES]) if each is not None and place in alone]
+    heard = list(visits)
+    for place, said in alone.items():
+        recording = made[place]
+        assert recording is not None
+        before = [each for each in past if each is not recording]
+        answer = diagnose(recording, catalogue, baseline=before) if before else said
+        heard[place] = replace(visits[place], sha256=recording.sha256, answer=answer, alone=said)
+    return tuple(heard)
 
 
 def draw_life(machine: Machine, seed: int, number: int) -> DrawnLife:

@@ -73,13 +73,22 @@ class NetworkShelf:
         Where networks are kept; without it they live as long as the shelf.
     training : NetworkTraining, optional
         Less than is trained otherwise.
+    remembers : bool
+        Whether machines in order are there on two days that differ as those of worn ones do; no network is trained
+        beside a machine's past otherwise.
     """
 
     def __init__(
-        self, matrix: SpectraSource, own: Sensing | None, folder: Path | None, training: NetworkTraining | None = None
+        self,
+        matrix: SpectraSource,
+        own: Sensing | None,
+        folder: Path | None,
+        training: NetworkTraining | None = None,
+        *,
+        remembers: bool = True,
     ) -> None:
         self._matrix, self._folder, self._training = matrix, folder, training or NetworkTraining()
-        self._own = own
+        self._own, self._remembers = own, remembers
         self._arrangement = None if own is None else arrangement(own)
         self._lock = threading.Lock()
         self._known: dict[str, Network] = {}
@@ -88,8 +97,11 @@ class NetworkShelf:
     @classmethod
     def of(cls, catalogue: Catalogue) -> NetworkShelf:
         """Return the shelf of a catalogue, with files in its folder."""
-        matrix = catalogue.matrix
-        return cls(matrix, own_sensing(catalogue.machine, matrix.cuts), catalogue.layout.networks)
+        matrix, plan = catalogue.matrix, catalogue.plan
+        # Under several loads a machine in order has another one on its other day, a worn one has not always.
+        remembers = plan.draws.again > 0 and plan.loads is None
+        own = own_sensing(catalogue.machine, matrix.cuts)
+        return cls(matrix, own, catalogue.layout.networks, remembers=remembers)
 
     def missing(self, most: int | None = None) -> Iterator[tuple[Learning, float]]:
         """Yield mode and drive speed (rad/s) of every network that there should be, and is not.
@@ -180,7 +192,7 @@ class NetworkShelf:
             return self._known.get(key)
 
     def _applies(self, learning: Learning, speed: float | None) -> bool:
-        if self._own is None:
+        if self._own is None or (learning.subject == "since" and not self._remembers):
             return False
         # Counting the cases of all hypotheses takes longer than an answer by a model that is known.
         asked = (_whole(learning), self._place(speed))

@@ -118,9 +118,10 @@ class Sequence:
 def sequences_of(plan: Plan, machine: Machine) -> Iterator[Sequence]:
     """All sequences of a plan for a machine."""
     loads = [0.0] if plan.loads is None else [load.size for load in plan.loads]
+    differs = any(map(is_of_the_day, plan.spread(machine, "trusted")))  # otherwise another day is the same case
     for hypothesis in hypotheses_of(plan, machine):
         count = plan.draws.of(len(hypothesis.joints)) if hypothesis.is_faulty else plan.draws.healthy
-        again = 0 if hypothesis.is_faulty else min(count, plan.draws.again)
+        again = min(count, plan.draws.again) if differs and not hypothesis.is_faulty else 0
         strata: tuple[Stratum, ...] = ("trusted", "wide")
         for stratum in strata:
             for is_again, asked in ((False, count), (True, again)):

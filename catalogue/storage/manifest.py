@@ -297,7 +297,7 @@ class Manifest:
         if self.other_numbers:
             raise CatalogueMismatchError(where, f"{self.other_numbers}: build into another folder")
         if self.draws_version != DRAWS_VERSION:
-            rule = "holds other machines in order than worn, which this program draws alike: build into another folder"
+            rule = "was drawn with other machines in order than worn, not the same: build into another folder"
             raise CatalogueMismatchError(where, rule)
         self.recipe.check_same(plan.recipe(machine), str(where))
         different = self.plan.difference(plan, machine)

@@ -93,9 +93,7 @@ def test_catalogues_of_other_draws_are_refused(tmp_path: Path) -> None:
     del content["draws_version"], content["checksum"]
     catalogue.layout.manifest.write_text(json.dumps({**content, "checksum": content_digest(content)}))
     assert Catalogue.open(tmp_path).manifest.draws_version == 1
-    with pytest.raises(
-        CatalogueMismatchError, match=r"other machines in order than worn.*: build into another folder$"
-    ):
+    with pytest.raises(CatalogueMismatchError, match=r"with other machines in order than worn.*: build into another"):
         quick_build(tmp_path)
 
 

@@ -179,3 +179,10 @@ def test_networks_beside_the_past_are_trained_where_machines_are_there_in_order(
     others = NetworkShelf(SpectraModel(300), sensing(), None, SMALL)
     assert {learning.subject for learning, _ in others.missing()} == {"hypotheses"}
     assert len(with_past(MODEL, MODEL.rows("healthy"))) == 4 * COUNT // 3
+
+
+def test_machines_that_are_there_under_several_loads_have_no_network_beside_their_past() -> None:
+    """One in order has another load on its other day, a worn one has not always: that would tell them apart."""
+    several = NetworkShelf(MODEL, sensing(), None, SMALL, remembers=False)
+    assert {learning.subject for learning, _ in several.missing()} == {"hypotheses"}
+    assert not several.applies(sensing(), SINCE, SPEED)

@@ -165,6 +165,14 @@ def test_a_draw_is_one_machine_in_order_and_worn() -> None:
         assert abs(np.corrcoef(np.log(pairs).T)[0, 1]) < 0.8  # of twelve; the same ranks: 1
 
 
+def test_what_no_day_changes_is_not_there_again() -> None:
+    counts = {**draws(pair=8), "healthy": 8, "again": 4}
+    still, moves = ({"frame.mass": {"lognormal": 0.1}}, {"drive.speed": {"factor_uniform": [0.97, 1.03]}})
+    for uncertain, again in ((still, 0), (moves, 4)):
+        plan = plan_of(hypotheses=["healthy"], draws=counts, uncertain=uncertain, wide={"draws": 0})
+        assert len(set(keys(plan))) == 8 + again
+
+
 def test_a_draw_is_one_machine_under_every_load() -> None:
     """What belongs to the machine is the same; the load is about what the plan says, besides what is drawn of it."""
     uncertain = {
