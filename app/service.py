@@ -31,6 +31,7 @@ from jointplay.app.settings import ServiceSettings
 from jointplay.app.shelves import built_in
 from jointplay.app.shelves.catalogues import CatalogueShelf, Offer, stamp_of
 from jointplay.app.shelves.entries import EntryShelf
+from jointplay.app.speeds import speed_of
 from jointplay.app.storage import webhooks
 from jointplay.app.storage.asset_rows import AssetRow
 from jointplay.app.storage.assets import Assets, measurements_of, touch_owners
@@ -45,9 +46,7 @@ from jointplay.app.storage.uploads import Upload
 from jointplay.catalogue.diagnosing.answer import Diagnosis
 from jointplay.catalogue.diagnosing.question import MOST_TOGETHER
 from jointplay.catalogue.following.state import WearState
-from jointplay.solver.errors import UnitError
 from jointplay.solver.machines.machine import Machine
-from jointplay.solver.machines.units import speed_to_si
 
 FORECASTS, FORECAST_S = 64, 600.0
 """Forecasts of builds that are kept, and for how long [s]: the computer may be busier later."""
@@ -436,16 +435,3 @@ def of_request(request: Request) -> Service:
     """Return the service that answers a request."""
     service: Service = request.app.state.service
     return service
-
-
-def speed_of(given: str | None) -> float | None:
-    """Return a drive speed in rad/s from what a request says; a web form's empty text is "not given"."""
-    if given is None or given == "":
-        return None
-    try:
-        value = speed_to_si(given)
-    except UnitError as error:
-        raise BadFieldError(f"speed: {given}: {error}", field="speed") from None
-    if value <= 0:
-        raise BadFieldError(f"speed: {given}: must be greater than 0", field="speed")
-    return value

@@ -83,8 +83,8 @@ def repeat_newest(settings: ServiceSettings, store: Store, count: int) -> Iterat
     That something was deleted, or a catalogue has grown, is nothing wrong.
     """
     from jointplay.app.jobs.verification import check, repeated_here
-    from jointplay.app.service import speed_of
     from jointplay.app.shelves.catalogues import CatalogueShelf
+    from jointplay.app.speeds import speed_of
     from jointplay.app.storage.tombstones import missing
 
     shelf = CatalogueShelf(settings.catalogues, partial(missing, store.database, "catalogue"))

@@ -14,7 +14,7 @@ from jointplay.app.http.uploads import PLAIN_BYTES, plain_fields
 from jointplay.app.http.validation import validate
 from jointplay.app.problems import Problem
 from jointplay.app.schemas.resources import DiagnosisRequest
-from jointplay.app.service import speed_of
+from jointplay.app.speeds import speed_of
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.matching.prior import Prior
 from jointplay.catalogue.signals.sensors import match_by_name

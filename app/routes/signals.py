@@ -17,7 +17,8 @@ from jointplay.app.http.query import chosen_type
 from jointplay.app.jobs import signals
 from jointplay.app.jobs.samples import StoredRecording
 from jointplay.app.schemas.signals import SignalOut, SignalQuery, SignalRow
-from jointplay.app.service import Service, of_request, speed_of
+from jointplay.app.service import Service, of_request
+from jointplay.app.speeds import speed_of
 from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
 from jointplay.catalogue.signals.signal_question import SignalQuestion
 

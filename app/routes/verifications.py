@@ -10,7 +10,8 @@ from starlette.concurrency import run_in_threadpool
 from jointplay.app.http.openapi import problems
 from jointplay.app.jobs.verification import Checked, Repetition, check, repeated_here
 from jointplay.app.schemas.custody import CatalogueThen, EvidenceOut, VerificationOut, VersionPair
-from jointplay.app.service import of_request, speed_of
+from jointplay.app.service import of_request
+from jointplay.app.speeds import speed_of
 from jointplay.app.storage.rows import DiagnosisRow
 
 router = APIRouter(prefix="/diagnoses", tags=["diagnoses"])

@@ -55,7 +55,8 @@ def beside_past(
     With the loudest noise and the shortest length of all; earlier ones count by their mean. None where no other is by
     the same sensors in the same bands.
     """
-    before = [each for each in past if _view(each) == _view(prepared) and not each.flaws]
+    alike = (each for each in past if view_of(each) == view_of(prepared) and each.cuts == prepared.cuts)
+    before = [each for each in alike if not each.flaws]
     if not before:
         return None
     every = [exact_sensing(each) for each in (prepared, *before)]
@@ -68,10 +69,10 @@ def beside_past(
     return replace(sensing, past=True), np.concatenate([features_of(prepared, sensing), mean])
 
 
-def _view(prepared: PreparedMeasurement) -> tuple[object, ...]:
-    """What recordings have to have in common for their features to be compared one by one."""
+def view_of(prepared: PreparedMeasurement) -> tuple[object, ...]:
+    """Return what recordings have to have in common to be compared with each other: what their sensors see."""
     sensing = prepared.sensing
-    return sensing.sensors, sensing.compared, sensing.phases, prepared.cuts
+    return sensing.sensors, sensing.compared, sensing.phases
 
 
 def watched_levels(prepared: PreparedMeasurement) -> BoolArray:

@@ -22,6 +22,7 @@ from jointplay.catalogue.diagnosing.baseline_levels import (
     class_statistics,
     share_beyond,
 )
+from jointplay.catalogue.diagnosing.comparison import view_of
 from jointplay.catalogue.plans.entry import HEALTHY
 from jointplay.catalogue.signals.feature_bands import feature_axes
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
@@ -94,7 +95,7 @@ def compare_with_past(
         None where no recording of the past is by these sensors, the catalogue holds too few machines in order, or no
         level stands out of the noise.
     """
-    before = [each for each in past if _view(each) == _view(prepared)]
+    before = [each for each in past if view_of(each) == view_of(prepared)]
     if not before:
         return None
     count = min(len(each.cuts) - 1 for each in (prepared, *before))
@@ -113,12 +114,6 @@ def compare_with_past(
         return None
     power = _power(catalogue, levels[0])
     return PastComparison(distance.p_value(used), tuple(distance.farthest(used)), distance.expected(power))
-
-
-def _view(prepared: PreparedMeasurement) -> tuple[object, ...]:
-    """What levels have to have in common to be compared."""
-    sensing = prepared.sensing
-    return sensing.sensors, sensing.compared, sensing.phases
 
 
 def _with_play(catalogue: Catalogue, levels: OrderLevels) -> IntArray:

@@ -94,11 +94,10 @@ class MachineNumbers:
     """Every number of a machine by its dotted path (``supports.0.stiffness.1``), and short paths for several.
 
     ``contact.friction`` and its like mean all joints that can wear, as far as they have such a number, ``oil`` their
-    friction together; ``frame.mass``,
-    ``frame.inertia`` the frame; ``supports.stiffness.x`` (``y``; without either, of springs) and
-    ``supports.damping.x`` all supports by one factor, ``supports.0.stiffness`` both directions of a mount; ``load`` the
-    process load, ``load.1.sin`` and ``load.1.cos`` a term of it over the drive's angle, ``ripple.1.sin`` and
-    ``ripple.1.cos`` a term of the drive's ripple, where the variant of the machine has them.
+    friction together; ``frame.mass``, ``frame.inertia`` the frame; ``supports.stiffness.x`` (``y``; without either,
+    of springs) and ``supports.damping.x`` all supports by one factor, ``supports.0.stiffness`` both directions of a
+    mount; ``load`` the process load, ``load.1.sin`` and ``load.1.cos`` a term of it over the drive's angle,
+    ``ripple.1.sin`` and ``ripple.1.cos`` a term of the drive's ripple, where the variant of the machine has them.
 
     Parameters
     ----------
