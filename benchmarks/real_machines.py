@@ -89,7 +89,8 @@ def judge(
             machine = truth["machine"]
             protocol = truth.get("of", name).removeprefix(f"{machine}-").rpartition("-")[0]
             catalogue = opened.setdefault(machine, Catalogue.open(catalogues / machine))
-            baseline = None if before is None else read_measurement(next(before.rglob(f"{name}.npz")))
+            earlier = [] if before is None else [next(before.rglob(f"{file.stem}.npz")) for file, _ in recorded]
+            baseline = [read_measurement(file) for file in earlier] or None
             try:
                 recordings = [read_recording(file) for file, _ in recorded]
                 answer: Diagnosis = diagnose_together(recordings, catalogue, effort=effort, baseline=baseline)

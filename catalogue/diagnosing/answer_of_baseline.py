@@ -37,6 +37,8 @@ class BaselineShown(Frozen):
         Name of that recording, and checksum of its bytes; of several, of the first.
     further : tuple of BaselineRecording
         The others.
+    heard : bool
+        Whether what is worn was told by how the recording differs from these, too.
     used : bool
         Whether a machine in order explains it; no number or gain of it is used otherwise.
     p_before, p_after : float
@@ -53,6 +55,7 @@ class BaselineShown(Frozen):
     numbers: Mapping[str, FittedNumber]
     gains: Mapping[str, FittedNumber]
     further: tuple[BaselineRecording, ...] = ()
+    heard: bool = False
 
 
 class LevelSince(Frozen):

@@ -46,6 +46,8 @@ class Heard:
         What a recording of the machine in order has shown.
     weighed : bool
         Whether entries counted by how near they are to that.
+    beside : bool
+        Whether networks heard how it differs from that.
     past : PastComparison, optional
         The recording beside those of the machine in order.
     """
@@ -61,6 +63,7 @@ class Heard:
     spent: EffortSpent
     known: KnownMachine | None = None
     weighed: bool = False
+    beside: bool = False
     past: PastComparison | None = None
 
 
@@ -105,7 +108,8 @@ def hear(
     if not prepared.flaws and (question.effort != "fast" or needs_cause(result) or is_otherwise):
         with one_thread():
             causes = find_causes(prepared, catalogue, result, past, earlier)
-    p_value, verdict = judge(result, question.coverage, causes, prepared.flaws, p_since)
+    beside = bool(before)
+    p_value, verdict = judge(result, question.coverage, causes, prepared.flaws, p_since, beside=beside)
     if causes and causes[0].suspension:
         # Seen as if its frame stood as the file says, a machine shows whether it is worn as well.
         seen = with_filed_suspension(prepared, catalogue.machine, causes[0].suspension)
@@ -138,14 +142,27 @@ def hear(
             result, causes = refined.result, (refined.load,) if refined.load else causes
             spent = EffortSpent(simulations=refined.simulations, generations=refined.generations, note=refined.reason)
             if refined.simulations:
-                p_value, verdict = judge(result, question.coverage, causes, p_since=p_since)
+                p_value, verdict = judge(result, question.coverage, causes, p_since=p_since, beside=beside)
                 if was_changed and not (verdict == "worn" and result.p_worn >= SURE_ABOVE):
                     # With a load that the file does not have it is not in order, however well that explains it.
                     verdict = "unknown" if verdict == "unknown" else "changed"
                 elif p_before is not None and p_before < DOUBTED_BELOW and verdict == "worn":
                     verdict = "worn" if result.p_worn >= SURE_ABOVE else "unknown"  # as without the simulation
-    weighed = weights is not None
-    return Heard(prepared, sha256, sensing, feature, result, causes, p_value, verdict, spent, known, weighed, past)
+    return Heard(
+        prepared,
+        sha256,
+        sensing,
+        feature,
+        result,
+        causes,
+        p_value,
+        verdict,
+        spent,
+        known,
+        weighed=weights is not None,
+        beside=beside,
+        past=past,
+    )
 
 
 def _match(

@@ -48,8 +48,8 @@ class KnownMachine:
         rows = [matrix.rows(hypothesis.label) for hypothesis in matrix.hypotheses]
         return self.baseline.weights(matrix.numbers(paths), rows)
 
-    def describe(self) -> BaselineShown:
-        """Return it as the answer shows it."""
+    def describe(self, *, heard: bool) -> BaselineShown:
+        """Return it as an answer shows it that has, or has not, heard how its recording differs from these."""
         found = self.baseline
         first, *further = (
             BaselineRecording(measurement=each.name, measurement_sha256=sha256)
@@ -64,6 +64,7 @@ class KnownMachine:
             p_after=found.p_after,
             numbers=found.numbers,
             gains=found.gains,
+            heard=heard,
         )
 
 

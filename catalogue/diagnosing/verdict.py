@@ -54,6 +54,8 @@ def judge(
     causes: Sequence[NamedCause] = (),
     flaws: Sequence[SensorContradiction] = (),
     p_since: float | None = None,
+    *,
+    beside: bool = False,
 ) -> tuple[float, Verdict]:
     """Return the p-value of the explanation, and the verdict.
 
@@ -65,7 +67,9 @@ def judge(
     :data:`OTHERWISE_BELOW`, or a cause explains the difference. What is neither nearly surely worn, nor in order rather
     than not, is unknown where the machine is doubted. So is what sensors say that are not what the file says of them.
     A machine that is as it was when it was in order, `p_since` no less than that, is judged as one that is as filed,
-    whatever its file says: if no wear is likelier than none, it is in order.
+    whatever its file says: if no wear is likelier than none, it is in order. Where what is worn was told by how the
+    machine differs from its own past (`beside`), what else its file has wrong is no reason against wear that is nearly
+    sure, even if it looks like a cause.
     """
     p_value = result.p_value_within(coverage)
     if flaws:
@@ -77,7 +81,7 @@ def judge(
     is_worn = result.p_worn >= SURE_ABOVE if trusted < DOUBTED_BELOW else not in_order and bool(result.best.joints)
     found = bool(causes) and causes[0].probability >= NAMED_ABOVE
     if needs_cause(result) and not as_before:
-        if explained and is_worn and not found and p_value >= SURE_P_VALUE:
+        if explained and is_worn and (beside or (not found and p_value >= SURE_P_VALUE)):
             return p_value, "worn"
         return p_value, "changed" if explained or found else "unknown"
     if found and not (explained and is_worn):

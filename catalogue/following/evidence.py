@@ -26,6 +26,10 @@ SHOWN = 0.003
 SHARPENS = 3.0
 """Power of the clearance, over that from which wear shows, at which the say on how much it is grows."""
 
+HEARD, LEAST_HEARD = 0.3, 0.3
+"""Part of the clearance from which wear shows that does for an answer that has heard the machine's own past; and the
+least ln of that over the clearance that counts as wear: docs/decisions/0201."""
+
 HALF_90 = 1.6449
 """Half width of a 90 % interval in standard deviations."""
 
@@ -66,38 +70,43 @@ def read_answer(answer: Answer, bounds: Mapping[str, JointBounds]) -> Evidence:
     before = np.array([prior.weight(match.joints, len(bounds), most) for match in answer.hypotheses])
     found = np.array([match.probability for match in answer.hypotheses])
     weights = np.maximum(found, 1e-12) / (before / before.sum())
-    edges = [_edge(answer.joints.get(joint), bounds[joint]) for joint in bounds]
+    heard = answer.baseline is not None and answer.baseline.heard
+    edges = [_edge(answer.joints.get(joint), bounds[joint], heard=heard) for joint in bounds]
     densities = np.array(
         [
             [
-                edge.in_order if found is None else np.minimum(_density(found, bounds[joint]), edge.most) * edge.worn
+                edge.in_order if found is None else _density(found, bounds[joint], edge)
                 for joint, edge in zip(bounds, edges, strict=True)
                 for found in [match.joints.get(joint)]
             ]
             for match in answer.hypotheses
         ]
     )
-    doubted = answer.verdict in ("changed", "unknown") or answer.goodness_of_fit.p_value < UNKNOWN_BELOW
+    # What its file does not say of a machine it had when it was in order, too.
+    odd = answer.verdict == "unknown" or (answer.verdict == "changed" and not heard)
+    doubted = odd or answer.goodness_of_fit.p_value < UNKNOWN_BELOW
     return Evidence(weights, densities, 1.0 if answer.sensors else DOUBTED if doubted else SLIP)
 
 
 class _Edge(NamedTuple):
     """What an answer can say of clearances (X,) near those that count as wear.
 
-    How likely a joint is called in order, and worn; and how much likelier than any other a clearance is at most made by
-    where the answer puts it.
+    How likely a joint is called in order, and worn; how much likelier than any other a clearance is at most made by
+    where the answer puts it; and whether that it is worn counts in full nevertheless.
     """
 
     in_order: FloatArray
     worn: FloatArray
     most: FloatArray
+    whole: bool = False
 
 
-def _edge(seen: JointState | None, bounds: JointBounds) -> _Edge:
+def _edge(seen: JointState | None, bounds: JointBounds, *, heard: bool) -> _Edge:
     """Where an answer's say on small wear ends.
 
     Below the clearance from which wear shows with 95 % an answer knows whether it shows, not how much it is: what looks
-    like 40 um in a sound joint of another machine looks so in every recording of it.
+    like 40 um in a sound joint of another machine looks so in every recording of it, unless what it looked like before
+    is known.
     """
     begins = math.log(bounds.worn_from)
     if seen is None:
@@ -105,15 +114,17 @@ def _edge(seen: JointState | None, bounds: JointBounds) -> _Edge:
     if seen.detectable_from_um is None:
         return _Edge(np.ones(len(AXIS)), np.asarray(AXIS >= begins, np.float64), np.ones(len(AXIS)))
     shows = max(math.log(1e-6 * seen.detectable_from_um), begins + STEP)
-    falls = math.log(SHOWN) / (shows - begins)
+    surely = max(shows + math.log(HEARD), begins + LEAST_HEARD) if heard else shows
+    falls = math.log(SHOWN) / (surely - begins)
     return _Edge(
         in_order=np.exp(falls * np.maximum(AXIS - begins, 0.0)),
         worn=np.exp(falls * np.maximum(begins - AXIS, 0.0)),
         most=np.exp(SHARPENS * np.maximum(AXIS - shows, 0.0)),
+        whole=heard,
     )
 
 
-def _density(found: JointClearance, bounds: JointBounds) -> FloatArray:
+def _density(found: JointClearance, bounds: JointBounds, edge: _Edge) -> FloatArray:
     """Likelihood (X,) of the clearance of a worn joint, against clearances that are log-uniform beforehand."""
     low, middle, high = np.log(1e-6 * np.array([found.interval_um[0], found.clearance_um, found.interval_um[1]]))
     beyond = np.clip(middle, AXIS[0], AXIS[-1]) - middle
@@ -121,7 +132,8 @@ def _density(found: JointClearance, bounds: JointBounds) -> FloatArray:
     width = np.where(middle > AXIS, middle - low, high - middle) / HALF_90
     law = np.exp(-0.5 * ((AXIS - middle) / np.maximum(width, STEP)) ** 2)
     ratio = law / max(float(law[bounds.worn].sum()), 1e-12) * bounds.worn.sum()
-    return np.asarray(np.maximum(ratio, LEAST_DENSITY))
+    ratio = np.minimum(np.maximum(ratio, LEAST_DENSITY), edge.most)
+    return np.asarray(ratio * edge.worn / (float(ratio[bounds.worn].mean()) if edge.whole else 1.0))
 
 
 def read_measured(clearance: float) -> FloatArray:

@@ -8,6 +8,7 @@ the cyclic coherences of every channel behind them.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -124,6 +125,45 @@ def _parts(coherence: ComplexArray) -> list[FloatArray]:
     # What two estimates of one recording contradict each other by must not make more than all of it.
     coherence = coherence / np.maximum(1.0, np.abs(coherence))
     return [SCALE * part.reshape(len(coherence), -1) for part in (coherence.real, coherence.imag)]
+
+
+def highest_there_are(bands: int, of: int, channels: int) -> tuple[IntArray, IntArray]:
+    """Say which features of recordings that end below the highest bands stand for those of all bands.
+
+    Parameters
+    ----------
+    bands, of : int
+        Feature bands of the recordings, and all of them; 0 < bands <= of.
+    channels : int
+
+    Returns
+    -------
+    fewer, all : ndarray of int, shape (d,)
+        Of each feature of all bands: its place among those of the recordings, and the same one's among those of all
+        bands. Above the highest band of the recordings it is that of the highest.
+    """
+    nearest, kinds = np.minimum(np.arange(of), bands - 1), cyclic_bands(of)
+    band = nearest[kinds.band]
+    # Where single orders are the highest there are, nothing is two orders apart.
+    wanted = list(zip(band.tolist(), np.where(band < FEATURE_ORDERS, 0, kinds.cycle).tolist(), strict=True))
+    return _places(bands, nearest, wanted, channels), _places(of, nearest, wanted, channels)
+
+
+def _places(count: int, bands: IntArray, cyclic: Sequence[tuple[int, int]], channels: int) -> IntArray:
+    """Places of levels and coherences of some bands, and of cyclic coherences (band, cycle), among all of `count`."""
+    kinds = cyclic_bands(count)
+    known = {each: place for place, each in enumerate(zip(kinds.band.tolist(), kinds.cycle.tolist(), strict=True))}
+    chosen = np.array([known[each] for each in cyclic], np.int64)
+    parts, begin = [], 0
+    for rows, length, width, numbers in (
+        (bands, count, channels, 1),
+        (bands, count, len(pairs_of(channels)), 2),
+        (chosen, len(known), channels, 2),
+    ):
+        for _ in range(numbers):
+            parts.append(begin + (rows[:, None] * width + np.arange(width)).ravel())
+            begin += length * width
+    return np.concatenate(parts)
 
 
 def pair_scale(power: FloatArray) -> FloatArray:

@@ -23,7 +23,7 @@ from scipy.special import log_softmax
 from threadpoolctl import threadpool_limits
 
 from jointplay.catalogue.matching.calibration import is_held_out
-from jointplay.catalogue.matching.coherence import with_more_noise
+from jointplay.catalogue.matching.coherence import cyclic_bands, highest_there_are, with_more_noise
 from jointplay.catalogue.matching.learning import Learning, SpectraSource, rows_of, with_past
 from jointplay.catalogue.matching.observation import Sensing, observe
 from jointplay.catalogue.plans.entry import Hypothesis, Stratum
@@ -67,16 +67,15 @@ class Network:
         """Return its opinion on recordings of some sensors and noise, in bands of some width (G,), Hz.
 
         Noise below what it was trained for is raised to that. None where the noise is above: nobody has trained it.
+        Recordings may end below its highest bands.
         """
         noise = sensing.noise
         level = density_db(noise, width)
         lacking = self.quietest - float(np.mean(level))
         if float(np.mean(level)) > self.loudest:
             return None
-        if lacking <= 0.0:
-            return Opinion(self, level, np.zeros(noise.shape), sensing.alike)
-        missing = noise * (10.0 ** (0.1 * lacking) - 1.0)
-        return Opinion(self, level + lacking, missing, sensing.alike)
+        missing = noise * (10.0 ** (0.1 * max(0.0, lacking)) - 1.0)
+        return Opinion(self, level + max(0.0, lacking), missing, sensing.alike, len(width))
 
     @cached_property
     def digest(self) -> str:
@@ -109,6 +108,9 @@ class Opinion:
         Noise power that is added before features are shown to it.
     alike : ndarray, shape (p,)
         Correlation of the noise of pairs of channels.
+    bands : int
+        Of the network; what recordings do not have of them is taken to lie as their highest one does, in standard
+        deviations of what the network was shown.
     since : Opinion, optional
         Of a network that hears the machine's own past, which counts as much.
     """
@@ -117,6 +119,7 @@ class Opinion:
     noise_db: FloatArray
     missing: FloatArray
     alike: FloatArray
+    bands: int
     since: Opinion | None = None
 
     @property
@@ -131,14 +134,28 @@ class Opinion:
         Those of the machine's own past stand behind those of the recording, where it is there.
         """
         columns = [self.network.labels.index(label) for label in labels]
-        count = len(self.network.centre) - len(self.noise_db)
+        bands, channels = self.missing.shape
+        plain = self.missing.size + 2 * bands * len(self.alike)
         if self.network.past:
             now, before = (with_more_noise(part, self.missing, self.alike) for part in np.split(features, 2, axis=1))
-            shown = differences(now, before, count)
+            shown = differences(now, before, plain)
         else:
-            shown = with_more_noise(features[:, :count], self.missing, self.alike)
+            own = plain + 2 * len(cyclic_bands(bands).band) * channels
+            shown = with_more_noise(features[:, :own], self.missing, self.alike)
+        shown = self._in_all_bands(shown)
         found: FloatArray = self.network.log_likelihoods(shown, self.noise_db)[:, columns]
         return found if self.since is None else found + self.since.log_evidences(features, labels)
+
+    def _in_all_bands(self, features: FloatArray) -> FloatArray:
+        """Return features (m, d) that the network is shown, of those in the bands that there are."""
+        if len(self.missing) == self.bands:
+            return features
+        count, channels = len(self.network.centre) - len(self.noise_db), len(self.noise_db)
+        place, own = (each[:count] for each in highest_there_are(len(self.missing), self.bands, channels))
+        centre, scale = self.network.centre, self.network.scale
+        there, lacking = own == np.arange(count), features[:, place]
+        raised = centre[:count] + scale[:count] * (lacking - centre[own]) / scale[own]
+        return np.asarray(np.where(there, lacking, raised))
 
     def doubts(self, features: FloatArray) -> FloatArray:
         """Return by how much features (m, d) are rather of machines that differ from their file, log (m,).

@@ -155,8 +155,14 @@ class NetworkShelf:
             self._known[key] = trained
 
     def applies(self, sensing: Sensing, learning: Learning, speed: float | None) -> bool:
-        """Whether there should be a network for a recording: its sensors are the machine's, and cases are enough."""
-        return arrangement(sensing) == self._arrangement and self._applies(learning, speed)
+        """Whether there should be a network for a recording: its sensors are the machine's, and cases are enough.
+
+        It may end below the highest bands, but has to have half of them.
+        """
+        own = self._own
+        if own is None or sensing.cuts != own.cuts[: len(sensing.cuts)] or 2 * sensing.bands < own.bands:
+            return False
+        return arrangement(sensing, own.cuts) == self._arrangement and self._applies(learning, speed)
 
     def get(self, sensing: Sensing, learning: Learning, speed: float | None) -> Network | None:
         """Return the network for a recording; None where there is none.
@@ -220,15 +226,15 @@ def own_sensing(machine: Machine, cuts: tuple[int, ...]) -> Sensing | None:
     return Sensing(transform, channels, cuts, np.ones((len(cuts) - 1, len(channels))), np.ones(len(cuts) - 1))
 
 
-def arrangement(sensing: Sensing) -> str:
-    """Return what two sets of sensors have in common whose compared channels see the same.
+def arrangement(sensing: Sensing, cuts: tuple[int, ...] | None = None) -> str:
+    """Return what two sets of sensors have in common whose compared channels see the same, in its bands or in others.
 
     The order of the sensors does not matter where motions of the frame are compared, and does where the sensors are.
     """
     rows: FloatArray = np.concatenate([sensing.transform, sensing.channels.T], axis=1)
     if not np.array_equal(sensing.channels, np.eye(len(rows))):
         rows = rows[np.lexsort(np.round(rows, 9).T)]
-    return content_digest([sensing.cuts, sensing.phases, (np.round(rows, 9) + 0.0).tolist()])
+    return content_digest([cuts or sensing.cuts, sensing.phases, (np.round(rows, 9) + 0.0).tolist()])
 
 
 def _whole(learning: Learning) -> Learning:

@@ -129,6 +129,8 @@ class _Said:
         ln of how much likelier each hypothesis has become.
     densities : for each hypothesis and joint, (points (p,), probability beforehand (p,), ln ratio (n, p))
     as_seen : for each recording and hypothesis, the match of what it looks like: itself, or with some joints held shut
+    p_values : ndarray, shape (n, h)
+        Of each hypothesis, whichever of its joints a load holds shut: the largest of any that it may look like.
     speeds : sequence of float
     likeness : Likeness
     """
@@ -138,6 +140,7 @@ class _Said:
     evidence: FloatArray
     densities: Sequence[Sequence[tuple[FloatArray, FloatArray, FloatArray]]]
     as_seen: Sequence[Sequence[HypothesisMatch]]
+    p_values: FloatArray
     speeds: Sequence[float]
     likeness: Likeness
 
@@ -166,9 +169,11 @@ class _Said:
             ]
             for h, match in enumerate(first)
         ]
+        fits = np.array([[own[match.label].p_value for match in first] for own in matches])
+        p_values = np.where(held > 0.0, fits[:, None, :], 0.0).max(axis=2)
         own = np.arange(len(sets))
         evidence = np.log(np.take_along_axis(likely, seen, axis=1) * held[own, seen])
-        return cls(results, np.log(share), evidence, densities, as_seen, speeds, likeness)
+        return cls(results, np.log(share), evidence, densities, as_seen, p_values, speeds, likeness)
 
     def showing(self, h: int) -> BoolArray:
         """Which recordings (n,) show a hypothesis: not those in which a load holds all of its joints shut."""
@@ -210,7 +215,7 @@ class _Said:
             )
             distance = math.sqrt(math.fsum(each.distance_db**2 for each in own) / len(own))
             # A load that holds joints shut is in no file: the others say whether the machine is as filed.
-            p_value = _least([own[n].p_value for n in np.flatnonzero(self.showing(h)).tolist()])
+            p_value = _least(self.p_values[self.showing(h), h].tolist())
             matches.append(
                 replace(match, probability=share, clearances=clearances, distance_db=distance, p_value=p_value)
             )

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from jointplay.catalogue.diagnosing.answer import Cause, Diagnosis, GoodnessOfFit, JointClearance, RankedHypothesis
+from jointplay.catalogue.diagnosing.answer_of_baseline import BaselineShown
 from jointplay.catalogue.following.play import JointBounds
 from jointplay.catalogue.following.visits import Visit
 from jointplay.catalogue.matching.prior import Prior
@@ -23,6 +24,16 @@ BEGIN = datetime(2025, 3, 1, 9, 30, tzinfo=UTC)
 _SOME = Diagnosis.model_validate(
     json.loads((Path(__file__).parents[1] / "data" / "service" / "answer-1.json").read_text())
 )
+PAST = BaselineShown(
+    measurement="new",
+    measurement_sha256=64 * "0",
+    used=True,
+    p_before=0.5,
+    p_after=0.5,
+    numbers={},
+    gains={},
+    heard=True,
+)
 
 
 def answer(
@@ -32,8 +43,13 @@ def answer(
     width: float = 0.15,
     verdict: str = "worn",
     causes: tuple[Cause, ...] = (),
+    detectable_um: float | None = None,
+    heard: bool = False,
 ) -> Diagnosis:
-    """Return an answer with so much evidence (ln) for wear in each joint, and clearances [m] where they are worn."""
+    """Return an answer with so much evidence (ln) for wear in each joint, and clearances [m] where they are worn.
+
+    Wear shows from so much on, unless it is None; and the machine's own past was heard, or not.
+    """
     prior = Prior()
     weights = np.array([prior.weight(names, 3, 3) * math.exp(sum(evidence[name] for name in names)) for names in SETS])
     ranked = []
@@ -51,7 +67,11 @@ def answer(
         "verdict": verdict,
         "causes": causes,
         "goodness_of_fit": GoodnessOfFit(p_value=0.5),
+        "baseline": PAST if heard else None,
     }
+    if detectable_um is not None:
+        shown = {"detectable_from_um": detectable_um}
+        update["joints"] = {name: state.model_copy(update=shown) for name, state in _SOME.joints.items()}
     return _SOME.model_copy(update=update)
 
 

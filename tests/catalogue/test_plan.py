@@ -47,7 +47,7 @@ def test_presets_hold_what_they_say() -> None:
     assert counted(standard) == {label: 2 * count for label, count in numbers.items()}
     assert Counter(entry.stratum for entry in standard) == dict.fromkeys(("trusted", "wide"), len(standard) // 2)
     thorough = entries_of_preset("thorough")
-    assert counted(thorough) == {label: 4 * count for label, count in numbers.items()}
+    assert counted(thorough) == {label: 8 * count for label, count in numbers.items()}
     for entries in (quick, standard):
         sizes = [sizes_of(entry)[joint] for entry in entries for joint in entry.worn]
         assert 2.5e-5 <= min(sizes) < 2.55e-5

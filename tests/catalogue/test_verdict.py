@@ -113,6 +113,21 @@ def test_a_machine_that_is_not_as_filed_is_worn_only_where_that_is_nearly_sure_a
         assert judge(found, 0.95, [replace(MOUNT, probability=NAMED_ABOVE)]) == (0.5, "changed")
 
 
+def test_wear_that_is_nearly_sure_beside_the_own_past_is_worn_whatever_the_file_has_wrong() -> None:
+    for probability, verdict in ((SURE_ABOVE, "worn"), (0.99 * SURE_ABOVE, "changed")):
+        found = answer(1e-4, A=(probability, 0.5), healthy=(1.0 - probability, 0.5))
+        assert judge(found, 0.95, [MOUNT]) == (0.5, "changed")
+        assert judge(found, 0.95, [MOUNT], beside=True) == (0.5, verdict)
+        # It need fit no better than what is explained at all.
+        fits = answer(1e-4, A=(probability, UNKNOWN_BELOW), healthy=(1.0 - probability, 0.5))
+        assert judge(fits, 0.6, [MOUNT], beside=True) == (UNKNOWN_BELOW, verdict)
+    # Nor is it where nothing explains the recording, or its sensors contradict each other.
+    unexplained = answer(1e-6, A=(0.99, 1e-3), healthy=(0.01, 1e-4))
+    assert judge(unexplained, 0.95, [MOUNT], beside=True) == (1e-3, "changed")
+    assert judge(unexplained, 0.95, beside=True) == (1e-3, "unknown")
+    assert judge(answer(1e-4, A=(0.99, 0.5), healthy=(0.01, 0.5)), 0.95, [], (FLAW,), beside=True)[1] == "unknown"
+
+
 def test_a_doubted_machine_is_worn_only_where_that_is_nearly_sure() -> None:
     likely = {"A": (0.8, 0.5), "healthy": (0.2, 0.5)}
     sure = {"A": (0.95, 0.5), "healthy": (0.05, 0.5)}
