@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import os
 import re
+import socket
 import subprocess
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -50,6 +52,18 @@ class ServiceProcess:
         assert match is not None, "".join(self.written)
         return match
 
+    def wait_until_it_listens(self) -> None:
+        """Wait for the first connection: a server says that it has started before it listens."""
+        host, port = self.address.removeprefix("http://").split(":")
+        for _ in range(3000):
+            try:
+                socket.create_connection((host, int(port))).close()
+            except ConnectionRefusedError:
+                time.sleep(0.1)
+            else:
+                return
+        raise TimeoutError(f"{self.address}: started, and does not listen")
+
     def worker(self) -> int:
         """Process of the one worker that it has; builds are none of its."""
         (found,) = [
@@ -73,6 +87,7 @@ def service_process(folder: Path, *options: str, **environment: str) -> Iterator
         try:
             running.address = running.wait_for(r"serving (http://127\.0\.0\.1:\d+)")[1]
             running.wait_for("startup complete")
+            running.wait_until_it_listens()
             yield running
         finally:
             process.kill()  # what has ended by itself is not concerned
