@@ -29,7 +29,7 @@ EXPLAINED = {
 PLANS = {
     "quick": "single worn joints; for trying things out",
     "standard": "pairs of worn joints, too, and machines that differ from their model; some ten times the cases",
-    "thorough": "as standard, with twice the cases",
+    "thorough": "as standard, with four times the cases",
 }
 
 

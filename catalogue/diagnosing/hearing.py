@@ -108,8 +108,7 @@ def hear(
     if not prepared.flaws and (question.effort != "fast" or needs_cause(result) or is_otherwise):
         with one_thread():
             causes = find_causes(prepared, catalogue, result, past, earlier)
-    beside = bool(before)
-    p_value, verdict = judge(result, question.coverage, causes, prepared.flaws, p_since, beside=beside)
+    p_value, verdict = judge(result, question.coverage, causes, prepared.flaws, p_since, beside=result.beside)
     if causes and causes[0].suspension:
         # Seen as if its frame stood as the file says, a machine shows whether it is worn as well.
         seen = with_filed_suspension(prepared, catalogue.machine, causes[0].suspension)
@@ -142,7 +141,7 @@ def hear(
             result, causes = refined.result, (refined.load,) if refined.load else causes
             spent = EffortSpent(simulations=refined.simulations, generations=refined.generations, note=refined.reason)
             if refined.simulations:
-                p_value, verdict = judge(result, question.coverage, causes, p_since=p_since, beside=beside)
+                p_value, verdict = judge(result, question.coverage, causes, p_since=p_since)
                 if was_changed and not (verdict == "worn" and result.p_worn >= SURE_ABOVE):
                     # With a load that the file does not have it is not in order, however well that explains it.
                     verdict = "unknown" if verdict == "unknown" else "changed"
@@ -160,7 +159,7 @@ def hear(
         spent,
         known,
         weighed=weights is not None,
-        beside=beside,
+        beside=result.beside,
         past=past,
     )
 

@@ -82,7 +82,7 @@ def read_answer(answer: Answer, bounds: Mapping[str, JointBounds]) -> Evidence:
             for match in answer.hypotheses
         ]
     )
-    # What its file does not say of a machine it had when it was in order, too.
+    # That a machine is not as its file says is no doubt where it is compared with itself.
     odd = answer.verdict == "unknown" or (answer.verdict == "changed" and not heard)
     doubted = odd or answer.goodness_of_fit.p_value < UNKNOWN_BELOW
     return Evidence(weights, densities, 1.0 if answer.sensors else DOUBTED if doubted else SLIP)
@@ -92,7 +92,8 @@ class _Edge(NamedTuple):
     """What an answer can say of clearances (X,) near those that count as wear.
 
     How likely a joint is called in order, and worn; how much likelier than any other a clearance is at most made by
-    where the answer puts it; and whether that it is worn counts in full nevertheless.
+    where the answer puts it; and whether that it is worn counts in full nevertheless: then relative to the mean of all
+    that are wear.
     """
 
     in_order: FloatArray
@@ -112,7 +113,7 @@ def _edge(seen: JointState | None, bounds: JointBounds, *, heard: bool) -> _Edge
     if seen is None:
         return _Edge(np.ones(len(AXIS)), np.ones(len(AXIS)), np.ones(len(AXIS)))
     if seen.detectable_from_um is None:
-        return _Edge(np.ones(len(AXIS)), np.asarray(AXIS >= begins, np.float64), np.ones(len(AXIS)))
+        return _Edge(np.ones(len(AXIS)), np.asarray(AXIS >= begins, np.float64), np.ones(len(AXIS)), whole=heard)
     shows = max(math.log(1e-6 * seen.detectable_from_um), begins + STEP)
     surely = max(shows + math.log(HEARD), begins + LEAST_HEARD) if heard else shows
     falls = math.log(SHOWN) / (surely - begins)

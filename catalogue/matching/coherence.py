@@ -143,7 +143,9 @@ def highest_there_are(bands: int, of: int, channels: int) -> tuple[IntArray, Int
         bands. Above the highest band of the recordings it is that of the highest.
     """
     nearest, kinds = np.minimum(np.arange(of), bands - 1), cyclic_bands(of)
-    band = nearest[kinds.band]
+    # Of the highest single order there is nothing above that it could be locked to.
+    last = bands - 1 if bands >= min(of, FEATURE_ORDERS) else max(bands - 2, 0)
+    band = np.minimum(kinds.band, last)
     # Where single orders are the highest there are, nothing is two orders apart.
     wanted = list(zip(band.tolist(), np.where(band < FEATURE_ORDERS, 0, kinds.cycle).tolist(), strict=True))
     return _places(bands, nearest, wanted, channels), _places(of, nearest, wanted, channels)

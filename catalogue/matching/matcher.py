@@ -254,6 +254,8 @@ class MatchResult:
         SHA-256 of the network whose opinion counted, too.
     sightings : Sightings, optional
         What held-out draws showed of each joint.
+    beside : bool
+        Whether a network heard how the recording differs from the machine's own past.
     """
 
     hypotheses: tuple[HypothesisMatch, ...]
@@ -263,6 +265,7 @@ class MatchResult:
     notes: tuple[str, ...] = ()
     network: str | None = None
     sightings: Sightings | None = None
+    beside: bool = False
 
     @property
     def best(self) -> HypothesisMatch:

@@ -132,12 +132,12 @@ class ModelLibrary:
         return blend(trusted, robust)
 
     def hears_past(self, sensing: Sensing, speed: float) -> bool:
-        """Whether it has learned what machines differ by from their own past, as such sensors see it."""
+        """Whether it has learned what machines differ by from their own past, as such sensors of such noise see it."""
         if self._networks is None:
             return False
-        learning = Learning.of("trusted")
-        asked = (learning, replace(learning, subject="since"))
-        return all(self._networks.get(sensing, each, speed) is not None for each in asked)
+        networks = self._networks.every(replace(sensing, past=True), Learning.of("trusted"), speed)
+        found, _ = networks.opinions(sensing, band_widths(self._matrix))
+        return found is not None and found.since is not None
 
     def fit(
         self,
@@ -218,7 +218,9 @@ class ModelLibrary:
                 notes = (*notes, "the catalogue's networks are not trained yet: building it again does that")
         model = self.fit(coarse, learning, networks)
         asked = model.opinion.digest if model.opinion else None
-        looked_up = replace(model.match(coarse.feature), mode=learning.mode, notes=notes, network=asked)
+        beside = model.opinion is not None and model.opinion.since is not None
+        found = model.match(coarse.feature)
+        looked_up = replace(found, mode=learning.mode, notes=notes, network=asked, beside=beside)
         refit = Refit(self._matrix, model, learning, speed, weights, networks if asked else Networks())
         # A network knows any noise: beside it a refit tells more only where there is more to learn from.
         if effort == "fast" or (asked and not refit.has_more_entries(looked_up)):

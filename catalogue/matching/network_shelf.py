@@ -1,7 +1,7 @@
 """Networks of a catalogue, some for each mode and stored speed, kept as files.
 
 Training takes a minute, so it belongs to building a catalogue, and no diagnosis waits for it; and networks are for one
-set of sensors: those of the machine's file, recorded up to the end of the bands.
+set of sensors: those of the machine's file.
 """
 
 from __future__ import annotations

@@ -106,7 +106,7 @@ def merge(first: MatchResult, refitted: MatchResult) -> MatchResult:
     ]
     # What can be seen of a joint is known of all hypotheses, not only of those that were refitted.
     found = rank(matches, refitted.conformal, first.sightings)
-    return replace(found, mode=first.mode, notes=first.notes, network=first.network)
+    return replace(found, mode=first.mode, notes=first.notes, network=first.network, beside=first.beside)
 
 
 AS_FILED_BEFORE = 0.9
@@ -147,4 +147,5 @@ def blend(trusted: MatchResult, robust: MatchResult) -> MatchResult:
         trusted_p_value=trusted.p_value,
         notes=tuple(dict.fromkeys((*trusted.notes, *robust.notes))),
         network=leading.network,
+        beside=leading.beside,
     )

@@ -28,6 +28,9 @@ HELD, ALL_HELD = 0.05, 0.2
 """Share of recordings in which a load holds a worn joint shut, so that it looks as in order; and all that are worn, as
 a load is carried from joint to joint. This is of the recordings that look in order where others do not."""
 
+FITS_FROM = 0.02
+"""P-value from which on a recording is explained by what it looks like."""
+
 LEAST_DENSITY = 0.02
 """Of a clearance in any recording, against what was likely before: intervals do not always hold."""
 
@@ -130,7 +133,8 @@ class _Said:
     densities : for each hypothesis and joint, (points (p,), probability beforehand (p,), ln ratio (n, p))
     as_seen : for each recording and hypothesis, the match of what it looks like: itself, or with some joints held shut
     p_values : ndarray, shape (n, h)
-        Of each hypothesis, whichever of its joints a load holds shut: the largest of any that it may look like.
+        Of each hypothesis as it is seen; where that does not fit, of that look that does best, if no joint is then held
+        shut in all recordings.
     speeds : sequence of float
     likeness : Likeness
     """
@@ -157,8 +161,7 @@ class _Said:
         held = _held_shut(sets)
         seen = (likely[:, None, :] * held).argmax(axis=2)
         # A joint that is held shut in every recording is heard in none: then it may as well not be worn.
-        never = [bool(frozenset.intersection(*(worn - sets[s] for s in seen[:, h]))) for h, worn in enumerate(sets)]
-        seen = np.where(never, np.arange(len(sets)), seen)
+        seen = np.where(_always_hidden(sets, seen), np.arange(len(sets)), seen)
         as_seen = tuple(
             tuple(own[first[s].label] for s in row) for own, row in zip(matches, seen.tolist(), strict=True)
         )
@@ -170,7 +173,11 @@ class _Said:
             for h, match in enumerate(first)
         ]
         fits = np.array([[own[match.label].p_value for match in first] for own in matches])
-        p_values = np.where(held > 0.0, fits[:, None, :], 0.0).max(axis=2)
+        # What does not fit as it seems to look may look otherwise.
+        fitting = np.where(held > 0.0, fits[:, None, :], -1.0).argmax(axis=2)
+        looks = np.where(np.take_along_axis(fits, seen, axis=1) < FITS_FROM, fitting, seen)
+        looks = np.where(_always_hidden(sets, looks), seen, looks)
+        p_values = np.take_along_axis(fits, looks, axis=1)
         own = np.arange(len(sets))
         evidence = np.log(np.take_along_axis(likely, seen, axis=1) * held[own, seen])
         return cls(results, np.log(share), evidence, densities, as_seen, p_values, speeds, likeness)
@@ -239,6 +246,11 @@ def _held_shut(sets: Sequence[frozenset[str]]) -> FloatArray:
         return ALL_HELD if worn and not seen else HELD ** len(worn - seen)
 
     return np.array([[share(worn, seen) for seen in sets] for worn in sets])
+
+
+def _always_hidden(sets: Sequence[frozenset[str]], seen: IntArray) -> list[bool]:
+    """Of which hypotheses (h) some joint is held shut in every recording, by what they look like in each (n, h)."""
+    return [bool(frozenset.intersection(*(worn - sets[s] for s in seen[:, h]))) for h, worn in enumerate(sets)]
 
 
 def _estimate_of(match: HypothesisMatch, joint: str) -> ClearanceEstimate | None:

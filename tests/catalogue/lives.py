@@ -48,7 +48,7 @@ def answer(
 ) -> Diagnosis:
     """Return an answer with so much evidence (ln) for wear in each joint, and clearances [m] where they are worn.
 
-    Wear shows from so much on, unless it is None; and the machine's own past was heard, or not.
+    Wear shows from so much on, or from 36 to 44 um; and the machine's own past was heard, or not.
     """
     prior = Prior()
     weights = np.array([prior.weight(names, 3, 3) * math.exp(sum(evidence[name] for name in names)) for names in SETS])

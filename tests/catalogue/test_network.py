@@ -92,7 +92,7 @@ def fewer_bands(noise: float, bands: int) -> Sensing:
     )
 
 
-@pytest.mark.parametrize("bands", [21, 30])
+@pytest.mark.parametrize("bands", [17, 19, 20, 21, 30])
 def test_bands_that_a_recording_does_not_have_lie_as_its_highest(bands: int) -> None:
     generator = np.random.default_rng(1)
     power = generator.uniform(1.0, 2.0, (5, 34, 2))
@@ -106,7 +106,9 @@ def test_bands_that_a_recording_does_not_have_lie_as_its_highest(bands: int) -> 
     place, own = highest_there_are(bands, 34, 2)
     np.testing.assert_allclose(some[:, place], whole[:, own])
     there = own == np.arange(whole.shape[1])
-    assert there.sum() == some.shape[1] and len(set(place[there].tolist())) == some.shape[1]
+    # Below the wide bands the highest order has no other beside it: of both channels, two parts.
+    lacking = 4 if bands < 20 else 0
+    assert there.sum() == some.shape[1] - lacking == len(set(place[there].tolist()))
     # A level above is that of the highest band in the same channel.
     assert own[2 * 33 : 2 * 34].tolist() == [2 * (bands - 1), 2 * (bands - 1) + 1]
 

@@ -146,9 +146,9 @@ class Listening(ModelLibrary):
     ) -> MatchResult:
         """Answer by the recording alone."""
         self.asked = getattr(self, "asked", (sensing, feature, kwargs["weights"]))  # again if a mount is softer
-        return super().answer(
-            dataclasses.replace(sensing, past=False), feature[: sensing.own_count], watched, *args, **kwargs
-        )
+        alone = dataclasses.replace(sensing, past=False)
+        found = super().answer(alone, feature[: sensing.own_count], watched, *args, **kwargs)
+        return dataclasses.replace(found, beside=sensing.past)
 
 
 def test_features_of_the_past_are_heard_behind_the_recording_s_own(

@@ -149,6 +149,9 @@ def test_a_state_that_a_load_may_hide_is_explained_as_it_then_looks() -> None:
         held = replace(free, hypotheses=(replace(healthy, p_value=in_order), replace(worn, p_value=1e-6), other))
         best = match_together([held, free], PRIOR, [1.0, 1.0]).result.best
         assert best.label == "A" and best.p_value == pytest.approx(expected)
+        # A joint that none of the recordings shows is not explained by being hidden in all.
+        both = match_together([held, held], PRIOR, [1.0, 1.0]).result.best
+        assert both.label == "A" and both.p_value == pytest.approx(2e-6)
 
 
 def recording(number: int) -> Recording:
