@@ -297,7 +297,7 @@ def method(row: DiagnosisRow) -> tuple[Named, ...]:
     origin, matcher, baseline = result.provenance, result.provenance.matcher, result.baseline
     shown = "none"
     if baseline is not None:
-        shown = f"{cut(baseline.measurement)}, numbers {'used' if baseline.used else 'not used'}"
+        shown = f"{cut(baseline.measurement)}, {'used' if baseline.used else 'numbers not used'}"
         shown += "; wear told beside it" if baseline.heard else ""
     versions = f"solver {origin.solver_version} (catalogue: {origin.catalogue_solver_version}),"
     return (
