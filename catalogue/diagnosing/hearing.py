@@ -46,8 +46,6 @@ class Heard:
         What a recording of the machine in order has shown.
     weighed : bool
         Whether entries counted by how near they are to that.
-    beside : bool
-        Whether networks heard how it differs from that.
     past : PastComparison, optional
         The recording beside those of the machine in order.
     """
@@ -63,7 +61,6 @@ class Heard:
     spent: EffortSpent
     known: KnownMachine | None = None
     weighed: bool = False
-    beside: bool = False
     past: PastComparison | None = None
 
 
@@ -108,7 +105,7 @@ def hear(
     if not prepared.flaws and (question.effort != "fast" or needs_cause(result) or is_otherwise):
         with one_thread():
             causes = find_causes(prepared, catalogue, result, past, earlier)
-    p_value, verdict = judge(result, question.coverage, causes, prepared.flaws, p_since, beside=result.beside)
+    p_value, verdict = judge(result, question.coverage, causes, prepared.flaws, p_since)
     if causes and causes[0].suspension:
         # Seen as if its frame stood as the file says, a machine shows whether it is worn as well.
         seen = with_filed_suspension(prepared, catalogue.machine, causes[0].suspension)
@@ -147,21 +144,8 @@ def hear(
                     verdict = "unknown" if verdict == "unknown" else "changed"
                 elif p_before is not None and p_before < DOUBTED_BELOW and verdict == "worn":
                     verdict = "worn" if result.p_worn >= SURE_ABOVE else "unknown"  # as without the simulation
-    return Heard(
-        prepared,
-        sha256,
-        sensing,
-        feature,
-        result,
-        causes,
-        p_value,
-        verdict,
-        spent,
-        known,
-        weighed=weights is not None,
-        beside=result.beside,
-        past=past,
-    )
+    weighed = weights is not None
+    return Heard(prepared, sha256, sensing, feature, result, causes, p_value, verdict, spent, known, weighed, past)
 
 
 def _match(

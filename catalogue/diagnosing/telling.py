@@ -139,7 +139,7 @@ def tell(
         "widened": candidates.widened,
         "goodness_of_fit": GoodnessOfFit(p_value=heard.p_value),
         "evidence": evidence(prepared, result.best, heard.feature[: heard.sensing.noise.size], rival_of(result)),
-        "baseline": known.describe(heard=heard.beside) if known else None,
+        "baseline": known.describe(heard=result.beside) if known else None,
         "past": heard.past.describe() if heard.past else None,
         "suggestions": suggestions,
         "recordings": tuple(recordings),

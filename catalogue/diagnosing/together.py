@@ -134,8 +134,7 @@ def conclude(
     # The least of several p-values, by Bonferroni's bound.
     since = [each.past.p_value for each in used if each.past]
     p_since = min(1.0, len(used) * min(since)) if since else None
-    beside = all(each.beside for each in used)
-    p_value, verdict = judge(joined.result, question.coverage, causes, flaws, p_since, beside=beside)
+    p_value, verdict = judge(joined.result, question.coverage, causes, flaws, p_since)
     is_sure = verdict == "worn" and joined.result.p_worn >= SURE_ABOVE
     changed = 2 * sum(each.verdict == "changed" for each in used) - len(used)
     if (changed > 0 and verdict != "unknown" and not is_sure) or (changed == 0 and verdict == "in_order"):
@@ -147,7 +146,6 @@ def conclude(
         result=joined.result,
         past=min((each.past for each in used if each.past), key=lambda past: past.p_value, default=None),
         causes=causes,
-        beside=beside,
         p_value=p_value,
         verdict=verdict,
         spent=EffortSpent(

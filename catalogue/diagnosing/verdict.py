@@ -15,15 +15,12 @@ from jointplay.catalogue.diagnosing.baseline import Baseline
 from jointplay.catalogue.diagnosing.causes import NEAREST, NamedCause, name_causes, name_changes
 from jointplay.catalogue.diagnosing.frame_modes import find_mode
 from jointplay.catalogue.diagnosing.past import PastComparison
-from jointplay.catalogue.matching.matcher import HypothesisMatch, MatchResult
+from jointplay.catalogue.matching.matcher import UNKNOWN_BELOW, HypothesisMatch, MatchResult
 from jointplay.catalogue.matching.model_library import DOUBTED_BELOW
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.signals.sensor_flaws import SensorContradiction
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.arrays import FloatArray, IntArray
-
-UNKNOWN_BELOW = 0.02
-"""P-value below which a hypothesis does not explain a recording."""
 
 CHANGED_BELOW = 1e-3
 """P-value of the trusted mode below which a machine is not as its file says: 15 of 15 other causes were so, and none of
@@ -54,8 +51,6 @@ def judge(
     causes: Sequence[NamedCause] = (),
     flaws: Sequence[SensorContradiction] = (),
     p_since: float | None = None,
-    *,
-    beside: bool = False,
 ) -> tuple[float, Verdict]:
     """Return the p-value of the explanation, and the verdict.
 
@@ -68,7 +63,7 @@ def judge(
     than not, is unknown where the machine is doubted. So is what sensors say that are not what the file says of them.
     A machine that is as it was when it was in order, `p_since` no less than that, is judged as one that is as filed,
     whatever its file says: if no wear is likelier than none, it is in order. Where what is worn was told by how the
-    machine differs from its own past (`beside`), what else its file has wrong is no reason against wear that is nearly
+    machine differs from its own past, what else its file has wrong is no reason against wear that is nearly
     sure, even if it looks like a cause.
     """
     p_value = result.p_value_within(coverage)
@@ -81,7 +76,7 @@ def judge(
     is_worn = result.p_worn >= SURE_ABOVE if trusted < DOUBTED_BELOW else not in_order and bool(result.best.joints)
     found = bool(causes) and causes[0].probability >= NAMED_ABOVE
     if needs_cause(result) and not as_before:
-        if explained and is_worn and (beside or (not found and p_value >= SURE_P_VALUE)):
+        if explained and is_worn and (result.beside or (not found and p_value >= SURE_P_VALUE)):
             return p_value, "worn"
         return p_value, "changed" if explained or found else "unknown"
     if found and not (explained and is_worn):

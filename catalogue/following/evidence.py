@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from jointplay.catalogue.diagnosing.answer import Answer, JointClearance, JointState
-from jointplay.catalogue.diagnosing.verdict import UNKNOWN_BELOW
 from jointplay.catalogue.following.play import AXIS, SEEN_AT, STEP, JointBounds
+from jointplay.catalogue.matching.matcher import UNKNOWN_BELOW
 from jointplay.catalogue.matching.prior import Prior
 from jointplay.catalogue.matching.together import LEAST_DENSITY
 from jointplay.solver.arrays import FloatArray

@@ -25,6 +25,10 @@ NORMAL_90 = 1.645
 """Half the width of a central 90 % interval, in standard deviations of a normal law."""
 
 
+UNKNOWN_BELOW = 0.02
+"""P-value below which a hypothesis does not explain a recording."""
+
+
 @dataclass(frozen=True, eq=False)
 class DrawnFeatures:
     """Feature vectors of one hypothesis, as the sensors would report them.
@@ -255,7 +259,7 @@ class MatchResult:
     sightings : Sightings, optional
         What held-out draws showed of each joint.
     beside : bool
-        Whether a network heard how the recording differs from the machine's own past.
+        Whether a network heard how the recording, or each of several, differs from the machine's own past.
     """
 
     hypotheses: tuple[HypothesisMatch, ...]

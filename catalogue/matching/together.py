@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jointplay.catalogue.matching.curves import log_sum_exp
-from jointplay.catalogue.matching.matcher import ClearanceEstimate, HypothesisMatch, MatchResult
+from jointplay.catalogue.matching.matcher import UNKNOWN_BELOW, ClearanceEstimate, HypothesisMatch, MatchResult
 from jointplay.solver.arrays import BoolArray, FloatArray, IntArray
 
 ALIKE_AT_ONE_SPEED, ALIKE = 0.7, 0.4
@@ -27,9 +27,6 @@ SLIP = 1e-3
 HELD, ALL_HELD = 0.05, 0.2
 """Share of recordings in which a load holds a worn joint shut, so that it looks as in order; and all that are worn, as
 a load is carried from joint to joint. This is of the recordings that look in order where others do not."""
-
-FITS_FROM = 0.02
-"""P-value from which on a recording is explained by what it looks like."""
 
 LEAST_DENSITY = 0.02
 """Of a clearance in any recording, against what was likely before: intervals do not always hold."""
@@ -175,7 +172,7 @@ class _Said:
         fits = np.array([[own[match.label].p_value for match in first] for own in matches])
         # What does not fit as it seems to look may look otherwise.
         fitting = np.where(held > 0.0, fits[:, None, :], -1.0).argmax(axis=2)
-        looks = np.where(np.take_along_axis(fits, seen, axis=1) < FITS_FROM, fitting, seen)
+        looks = np.where(np.take_along_axis(fits, seen, axis=1) < UNKNOWN_BELOW, fitting, seen)
         looks = np.where(_always_hidden(sets, looks), seen, looks)
         p_values = np.take_along_axis(fits, looks, axis=1)
         own = np.arange(len(sets))
@@ -234,6 +231,7 @@ class _Said:
             mode="robust" if any(each.mode == "robust" for each in results) else "trusted",
             trusted_p_value=_least(trusted) if trusted else None,
             notes=tuple(dict.fromkeys(note for each in results for note in each.notes)),
+            beside=all(each.beside for each in results),
         )
 
 

@@ -17,7 +17,7 @@ from jointplay.catalogue.matching.model_library import ModelLibrary
 from jointplay.catalogue.matching.modelfile import read_network, write_network
 from jointplay.catalogue.matching.network import Network, NetworkTraining
 from jointplay.catalogue.matching.network_shelf import NetworkShelf
-from jointplay.catalogue.matching.observation import observe
+from jointplay.catalogue.matching.observation import Sensing, observe
 
 COUNT = 300
 OF_MACHINES, OF_DAYS = 5.0, 0.5
@@ -79,10 +79,10 @@ def shelf() -> NetworkShelf:
     return found
 
 
-def seen(rows: IntArray) -> FloatArray:
+def seen(rows: IntArray, sensing: Sensing = BESIDE) -> FloatArray:
     """Features (n, d) of rows beside those of the same machines in order."""
     past = MODEL.packed(MODEL.in_order(rows))
-    return observe(MODEL.packed(rows), BESIDE, TRUSTED.discrepancy, np.ones(len(rows), np.int64), 7, past=past)[0]
+    return observe(MODEL.packed(rows), sensing, TRUSTED.discrepancy, np.ones(len(rows), np.int64), 7, past=past)[0]
 
 
 def test_gains_and_what_the_model_does_not_know_are_those_of_both() -> None:
@@ -121,6 +121,22 @@ def test_small_wear_is_told_from_what_the_machine_was_and_not_from_others(shelf:
         found = np.array(network.labels)[opinion.log_evidences(features, network.labels).argmax(axis=1)]
         right[learning.subject] = np.mean(found == truth)
     assert right["since"] > 0.9 > 0.7 > right["hypotheses"], right
+
+
+def test_recordings_that_end_below_the_highest_bands_are_heard_beside_their_past(shelf: NetworkShelf) -> None:
+    ends = GROUPS - 2
+    fewer = replace(
+        BESIDE,
+        cuts=BESIDE.cuts[: ends + 1],
+        noise=BESIDE.noise[:ends],
+        degrees_of_freedom=BESIDE.degrees_of_freedom[:ends],
+    )
+    network = shelf.get(fewer, SINCE, SPEED)
+    assert network is not None
+    opinion = network.opinion(fewer, band_widths(MODEL))
+    assert opinion is not None
+    found = opinion.log_evidences(seen(HELD, fewer), network.labels).argmax(axis=1)
+    assert np.mean(np.array(network.labels)[found] == MODEL.label[HELD]) > 0.9  # measured: 0.99
 
 
 def test_both_opinions_count_alike_and_files_give_them_back(shelf: NetworkShelf, tmp_path: Path) -> None:

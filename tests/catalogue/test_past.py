@@ -169,8 +169,8 @@ def test_features_of_the_past_are_heard_behind_the_recording_s_own(
     assert (sensing.noise >= [exact_sensing(each).noise for each in straight]).all()
     # What is shown of the answer is the recording's own.
     assert heard.feature.shape == (own.own_count,) and not heard.sensing.past
-    assert heard.beside and known.describe(heard=heard.beside).heard
-    assert not hear(visits["softer"], "c", small_catalogue, Question(), library).beside
+    assert heard.result.beside and known.describe(heard=True).heard
+    assert not hear(visits["softer"], "c", small_catalogue, Question(), library).result.beside
 
 
 def test_what_the_baseline_has_as_well_is_no_cause(

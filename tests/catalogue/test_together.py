@@ -154,6 +154,13 @@ def test_a_state_that_a_load_may_hide_is_explained_as_it_then_looks() -> None:
         assert both.label == "A" and both.p_value == pytest.approx(2e-6)
 
 
+def test_a_common_answer_has_heard_the_past_if_all_recordings_were() -> None:
+    one = said((0.2, 0.7, 0.1), (200, 300))
+    for heard in ((True, True), (True, False), (False, False)):
+        results = [replace(one, beside=each) for each in heard]
+        assert match_together(results, PRIOR, [1.0, 1.2]).result.beside is all(heard)
+
+
 def recording(number: int) -> Recording:
     return read_measurement(RECORDINGS / f"slider-crank-{number:02}.csv.gz")
 

@@ -13,12 +13,11 @@ from jointplay.catalogue.diagnosing.verdict import (
     NAMED_ABOVE,
     OTHERWISE_BELOW,
     SURE_ABOVE,
-    UNKNOWN_BELOW,
     judge,
     needs_cause,
 )
 from jointplay.catalogue.matching.conformal import Conformal
-from jointplay.catalogue.matching.matcher import HypothesisMatch, MatchResult, rank
+from jointplay.catalogue.matching.matcher import UNKNOWN_BELOW, HypothesisMatch, MatchResult, rank
 from jointplay.catalogue.matching.model_library import DOUBTED_BELOW
 from jointplay.catalogue.signals.sensor_flaws import SensorContradiction
 
@@ -117,15 +116,16 @@ def test_wear_that_is_nearly_sure_beside_the_own_past_is_worn_whatever_the_file_
     for probability, verdict in ((SURE_ABOVE, "worn"), (0.99 * SURE_ABOVE, "changed")):
         found = answer(1e-4, A=(probability, 0.5), healthy=(1.0 - probability, 0.5))
         assert judge(found, 0.95, [MOUNT]) == (0.5, "changed")
-        assert judge(found, 0.95, [MOUNT], beside=True) == (0.5, verdict)
+        assert judge(replace(found, beside=True), 0.95, [MOUNT]) == (0.5, verdict)
         # It need fit no better than what is explained at all.
         fits = answer(1e-4, A=(probability, UNKNOWN_BELOW), healthy=(1.0 - probability, 0.5))
-        assert judge(fits, 0.6, [MOUNT], beside=True) == (UNKNOWN_BELOW, verdict)
+        assert judge(replace(fits, beside=True), 0.6, [MOUNT]) == (UNKNOWN_BELOW, verdict)
     # Nor is it where nothing explains the recording, or its sensors contradict each other.
-    unexplained = answer(1e-6, A=(0.99, 1e-3), healthy=(0.01, 1e-4))
-    assert judge(unexplained, 0.95, [MOUNT], beside=True) == (1e-3, "changed")
-    assert judge(unexplained, 0.95, beside=True) == (1e-3, "unknown")
-    assert judge(answer(1e-4, A=(0.99, 0.5), healthy=(0.01, 0.5)), 0.95, [], (FLAW,), beside=True)[1] == "unknown"
+    unexplained = replace(answer(1e-6, A=(0.99, 1e-3), healthy=(0.01, 1e-4)), beside=True)
+    assert judge(unexplained, 0.95, [MOUNT]) == (1e-3, "changed")
+    assert judge(unexplained, 0.95) == (1e-3, "unknown")
+    sure = replace(answer(1e-4, A=(0.99, 0.5), healthy=(0.01, 0.5)), beside=True)
+    assert judge(sure, 0.95, [], (FLAW,)) == (0.5, "unknown")
 
 
 def test_a_doubted_machine_is_worn_only_where_that_is_nearly_sure() -> None:
