@@ -120,7 +120,7 @@ def hear(
             spent = EffortSpent(simulations=0, generations=0, note="the sensors contradict each other")
         elif causes and not causes[0].name.startswith("load"):
             spent = EffortSpent(simulations=0, generations=0, note="the machine is not as its file says")
-        elif weights is not None or before:
+        elif weights is not None:
             note = "the baseline says more of the machine's numbers than its file, which is simulated"
             spent = EffortSpent(simulations=0, generations=0, note=note)
         else:

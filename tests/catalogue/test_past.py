@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from in_order import off_by, recordings
 
+from jointplay.catalogue.diagnosing import hearing
+from jointplay.catalogue.diagnosing.as_found import Refined
 from jointplay.catalogue.diagnosing.baseline_levels import OrderLevels
 from jointplay.catalogue.diagnosing.causes import NamedCause, name_causes, name_changes
 from jointplay.catalogue.diagnosing.comparison import beside_past, exact_sensing, features_of, watched_levels
-from jointplay.catalogue.diagnosing.hearing import hear
 from jointplay.catalogue.diagnosing.known_machine import KnownMachine
 from jointplay.catalogue.diagnosing.past import PastComparison, compare_with_past
 from jointplay.catalogue.diagnosing.question import Question
@@ -157,7 +158,7 @@ def test_features_of_the_past_are_heard_behind_the_recording_s_own(
     past = {"a": visits["first"], "b": visits["second"]}
     known = KnownMachine.of(past, small_catalogue)
     library = Listening(small_catalogue.matrix)
-    heard = hear(visits["softer"], "c", small_catalogue, Question(), library, known=known)
+    heard = hearing.hear(visits["softer"], "c", small_catalogue, Question(), library, known=known)
     sensing, feature, weights = library.asked
     assert sensing.past and weights is None
     assert feature.shape == (sensing.features_count,)
@@ -170,7 +171,23 @@ def test_features_of_the_past_are_heard_behind_the_recording_s_own(
     # What is shown of the answer is the recording's own.
     assert heard.feature.shape == (own.own_count,) and not heard.sensing.past
     assert heard.result.beside and known.describe(heard=True).heard
-    assert not hear(visits["softer"], "c", small_catalogue, Question(), library).result.beside
+    assert not hearing.hear(visits["softer"], "c", small_catalogue, Question(), library).result.beside
+
+
+def test_the_machine_as_found_is_simulated_beside_the_past_too(
+    small_catalogue: Catalogue, visits: dict[str, PreparedMeasurement], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What was heard of the past goes into it, and comes out of it: a load that the file lacks is in no past."""
+
+    def simulated(*args: Any, **kwargs: Any) -> Refined:
+        assert args[3].beside
+        return Refined(args[3], 7, 1, "simulated")
+
+    monkeypatch.setattr(hearing, "refine", simulated)
+    known = KnownMachine.of({"a": visits["first"]}, small_catalogue)
+    library = Listening(small_catalogue.matrix)
+    heard = hearing.hear(visits["second"], "c", small_catalogue, Question("thorough"), library, known=known)
+    assert heard.spent.note == "simulated" and heard.result.beside
 
 
 def test_what_the_baseline_has_as_well_is_no_cause(
