@@ -134,8 +134,10 @@ def hear(
                 prior=question.prior,
                 cases=question.cases,
             )
-            was_changed, p_before = needs_cause(result), result.trusted_p_value
-            result, causes = refined.result, (refined.load,) if refined.load else causes
+            # What a machine has always had, which its file has not, is neither a cause nor a change.
+            is_as_it_was = p_since is not None and not is_otherwise
+            was_changed, p_before = needs_cause(result) and not is_as_it_was, result.trusted_p_value
+            result, causes = refined.result, (refined.load,) if refined.load and not is_as_it_was else causes
             spent = EffortSpent(simulations=refined.simulations, generations=refined.generations, note=refined.reason)
             if refined.simulations:
                 p_value, verdict = judge(result, question.coverage, causes, p_since=p_since)

@@ -177,17 +177,18 @@ def test_features_of_the_past_are_heard_behind_the_recording_s_own(
 def test_the_machine_as_found_is_simulated_beside_the_past_too(
     small_catalogue: Catalogue, visits: dict[str, PreparedMeasurement], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What was heard of the past goes into it, and comes out of it: a load that the file lacks is in no past."""
+    """What was heard of the past goes into it; a load that it has always had makes no change of a machine in order."""
 
     def simulated(*args: Any, **kwargs: Any) -> Refined:
         assert args[3].beside
-        return Refined(args[3], 7, 1, "simulated")
+        return Refined(args[3], 7, 1, "simulated", NamedCause("load on one stroke", 30.0, "N", 0.99))
 
     monkeypatch.setattr(hearing, "refine", simulated)
     known = KnownMachine.of({"a": visits["first"]}, small_catalogue)
     library = Listening(small_catalogue.matrix)
     heard = hearing.hear(visits["second"], "c", small_catalogue, Question("thorough"), library, known=known)
     assert heard.spent.note == "simulated" and heard.result.beside
+    assert heard.verdict == "in_order" and not heard.causes
 
 
 def test_what_the_baseline_has_as_well_is_no_cause(
