@@ -21,6 +21,8 @@ from jointplay.catalogue.matching.learning import Learning, training_set
 from jointplay.catalogue.matching.matcher import HypothesisMatch, MatchResult, rank
 from jointplay.catalogue.matching.model_library import DOUBTED_BELOW, ModelLibrary, Observed, one_thread
 from jointplay.catalogue.matching.modes import ModeAsked
+from jointplay.catalogue.matching.network import NetworkTraining
+from jointplay.catalogue.matching.network_shelf import NetworkShelf
 from jointplay.catalogue.matching.prior import Prior
 from jointplay.catalogue.matching.refit import weight_as_filed
 from jointplay.catalogue.plans.cases import entries_of
@@ -54,6 +56,9 @@ BEYOND = 1.5
 
 FOUND_SHARE = 2.0 / 3.0
 """Weight of what the machine as found says against what the catalogue's machines do, which are less like it."""
+
+TRAINING = NetworkTraining(rows=20_000, blocks=20)
+"""Of the network that learns the cases of one recording: 60 000 rows take three times as long and know no more."""
 
 NEAR = 0.5
 """Difference in ln(clearance) within which cases speak for an answer (standard deviation)."""
@@ -164,7 +169,7 @@ def refine(
         return Refined(result, len(drawn), 2, "cases near the answer could not be simulated, so that nothing changes")
     inside = [row for row, entry in enumerate(broad.entries) if near[entry.hypothesis.label].holds(entry)]
     every = broad.kept(inside) + later
-    found = _answer(every, observed, mode)
+    found = _answer(every, observed, mode, networks=networks_of(every, observed))
     # What a set says of a part of its clearances is what it says of all of them times that part.
     weights = [
         match.probability
@@ -180,8 +185,19 @@ def refine(
     return _blend(result, replace(found, hypotheses=rank(again).hypotheses), every, len(drawn), load)
 
 
-def _answer(spectra: FoundSpectra, observed: Observed, mode: ModeAsked) -> MatchResult:
-    return ModelLibrary(spectra).answer(
+def networks_of(spectra: FoundSpectra, observed: Observed) -> NetworkShelf:
+    """Train a network on cases as the sensors of a recording see them; none where there are too few."""
+    shelf = NetworkShelf(spectra, observed.sensing, None, TRAINING)
+    learning = Learning.of("trusted")
+    if shelf.applies(observed.sensing, learning, observed.speed):
+        shelf.train(learning, observed.speed or spectra.nominal_speed)
+    return shelf
+
+
+def _answer(
+    spectra: FoundSpectra, observed: Observed, mode: ModeAsked, networks: NetworkShelf | None = None
+) -> MatchResult:
+    return ModelLibrary(spectra, networks=networks).answer(
         observed.sensing, observed.feature, observed.watched, "standard", mode, speed=observed.speed
     )
 

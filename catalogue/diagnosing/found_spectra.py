@@ -69,8 +69,8 @@ class FoundSpectra:
         return np.array(own if stratum != "wide" else [], np.int64)
 
     def individuals(self, rows: IntArray) -> IntArray:
-        """Each case is of a machine of its own."""
-        return rows
+        """A draw is the same machine in every set of joints."""
+        return np.array([self.entries[row].draw for row in rows.tolist()], np.int64)
 
     def in_order(self, rows: IntArray) -> IntArray:
         """None of them was simulated in order."""
