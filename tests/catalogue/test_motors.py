@@ -124,7 +124,7 @@ def test_entries_end_when_their_revolutions_repeat(catalogue: Catalogue) -> None
 
 def test_an_entry_that_ends_early_has_the_levels_of_a_long_run() -> None:
     """And its mean speed, to what it may change yet: a ten-thousandth."""
-    chunk, found = outcomes(8)
+    ((chunk, found),) = outcomes(8)
     settings = Settings(sample_rate=10_000.0, revolutions=20.0, accuracy="draft", motion=False, settled=True)
     repeating = [(entry, outcome) for entry, outcome in zip(chunk.entries, found, strict=True) if outcome.period]
     assert len(repeating) >= 2
@@ -182,17 +182,14 @@ def test_evaluations_draw_motors_too() -> None:
         DIFFERENCES["ripple"](truth, draws)
 
 
-def outcomes(count: int = 4) -> tuple[Chunk, tuple[CaseOutcome, ...]]:
-    # Of nine seeds five have a case among eight that has two limit cycles, or alternates, so that a run-up ends in
-    # other levels than a start near one of them (by 0.3 to 1.6 dB in the mean). Those of this one have one each.
+def outcomes(count: int = 4, most: int = 1) -> list[tuple[Chunk, tuple[CaseOutcome, ...]]]:
     plan = plan_of(draws={"healthy": 1, "single": count}, sets=[["D"]], guard=0, seed=4)
     entries = [entry for entry in entries_of(plan, MACHINE) if entry.worn]
-    chunk = cut_chunks(MACHINE, plan.recipe(MACHINE), entries, 8)[0]
-    return chunk, simulate_chunk(chunk)
+    return [(chunk, simulate_chunk(chunk)) for chunk in cut_chunks(MACHINE, plan.recipe(MACHINE), entries, 8)[:most]]
 
 
 def test_cases_that_do_not_become_steady_have_a_status(monkeypatch: pytest.MonkeyPatch) -> None:
-    chunk, steady = outcomes()
+    ((chunk, steady),) = outcomes()
     assert {outcome.status for outcome in steady} == {OK}
     monkeypatch.setattr(limit_cycle, "LONGEST", 0.5)
     for outcome in simulate_chunk(chunk):
@@ -222,22 +219,25 @@ def levels(power: Any) -> FloatArray:
 
 
 def test_a_start_near_the_limit_cycle_gives_the_levels_of_a_run_up() -> None:
-    """What each case would give that ran up itself, from standstill: seen 0.1 dB and less, for a fourth of it.
+    """What a case would give that ran up itself, from standstill, with less of a run-up; in the median of eight.
 
-    These cases repeat; of those that do not, two parts of one record differ by half a dB.
+    Of nine seeds five have a case among eight that has two limit cycles, or alternates, so that a run-up ends in other
+    levels than a start near one of them (by 0.3 to 2.2 dB in the mean); which case it is hangs on the processor.
     """
-    chunk, found = outcomes()
-    for entry, outcome in zip(chunk.entries, found, strict=True):
+    off, shorter = [], []
+    for chunk, found in outcomes(8, most=8):
         settings = Settings(sample_rate=10_000.0, revolutions=chunk.recipe.revolutions, accuracy="draft", motion=False)
-        machine = entry.variant.machine(MACHINE)
-        history = simulate(machine, Case(entry.fault, entry.parameters), settings)
-        signal, rate, _ = history.by_revolutions(history.band_limited_acceleration)
-        bands = band_matrix(signal, rate, history.drive_speed, chunk.recipe.scheme)
-        assert outcome.drive_speed == pytest.approx(history.drive_speed, rel=1e-4)
-        wanted, seen = levels(bands.power), levels(outcome.power)
-        loud = wanted > wanted.max(axis=0) - 60
-        assert np.abs(wanted - seen)[loud].mean() < 0.2
-        assert outcome.seconds < history.seconds
+        for entry, outcome in zip(chunk.entries, found, strict=True):
+            history = simulate(entry.variant.machine(MACHINE), Case(entry.fault, entry.parameters), settings)
+            signal, rate, _ = history.by_revolutions(history.band_limited_acceleration)
+            bands = band_matrix(signal, rate, history.drive_speed, chunk.recipe.scheme)
+            assert outcome.drive_speed == pytest.approx(history.drive_speed, rel=1e-3)
+            wanted, seen = levels(bands.power), levels(outcome.power)
+            off.append(np.abs(wanted - seen)[wanted > wanted.max(axis=0) - 60].mean())
+            shorter.append(outcome.transient / history.transient)
+    assert len(off) == 8
+    assert np.median(off) < 0.2
+    assert np.median(shorter) < 0.5
 
 
 def history_of(**settings: Any) -> History:
