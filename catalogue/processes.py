@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import resource_tracker
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 #: Environment of a process whose libraries of linear algebra shall not start threads: others compute beside it.
 ONE_THREAD = {f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "MKL", "NUMBA")}
@@ -67,14 +67,22 @@ class OneProcess:
         """
         if self._pool is None:
             return
-        if at_once:
-            for process in self._processes().values():  # kill_workers() from Python 3.14 on
-                process.kill()
-            # Of a process that is killed while it sends a result, the pool would wait for the rest of it for ever: the
-            # pipe has no end as long as this process could write into it, too.
-            self._pool._result_queue._writer.close()  # type: ignore[attr-defined]  # there is no other way to it
-        self._pool.shutdown(wait=wait, cancel_futures=True)
-        self._pool = self._last = None
+        pool, self._pool, self._last = self._pool, None, None
+        if not at_once:
+            pool.shutdown(wait=wait, cancel_futures=True)
+            return
+        processes, manager = dict(pool._processes), cast("threading.Thread | None", pool._executor_manager_thread)
+        results = pool._result_queue._writer  # type: ignore[attr-defined]  # no other way to it
+        # The pool's thread has to know first: of a process whose death it sees before, it reports to every future, ends
+        # at one that was cancelled (up to Python 3.12 at least), and the process is never waited for.
+        pool.shutdown(wait=False, cancel_futures=True)
+        for process in processes.values():  # kill_workers() from Python 3.14 on
+            process.kill()
+        # Of a process that is killed while it sends a result, the pool would wait for the rest of it for ever: the pipe
+        # has no end as long as this process could write into it, too.
+        results.close()
+        if wait and manager is not None:
+            manager.join()
 
     def _processes(self) -> dict[int, Any]:
         return dict((self._pool and self._pool._processes) or {})

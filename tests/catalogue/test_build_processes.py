@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing.process
 import os
 import random
 import signal
@@ -77,6 +78,21 @@ def test_a_worker_killed_while_it_sends_is_not_waited_for(tmp_path: Path) -> Non
     end.start()
     end.join(120.0)
     assert not end.is_alive()
+
+
+def test_a_process_that_is_dead_before_its_pool_looks_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    worker = processes.OneProcess()
+    tasks = [worker.submit(time.sleep, 3600.0) for _ in range(3)]  # the last is behind those that the process has got
+    assert tasks[-1].cancel()
+    process, kill = worker.pid, multiprocessing.process.BaseProcess.kill
+
+    def kill_and_doze(victim: multiprocessing.process.BaseProcess) -> None:
+        kill(victim)
+        time.sleep(1.0)
+
+    monkeypatch.setattr(multiprocessing.process.BaseProcess, "kill", kill_and_doze)
+    worker.close(at_once=True)
+    assert not Path(f"/proc/{process}").exists()
 
 
 @pytest.mark.long
