@@ -74,7 +74,7 @@ class OneProcess:
         processes, manager = dict(pool._processes), cast("threading.Thread | None", pool._executor_manager_thread)
         results = pool._result_queue._writer  # type: ignore[attr-defined]  # no other way to it
         # The pool's thread has to know first: of a process whose death it sees before, it reports to every future, ends
-        # at one that was cancelled (up to Python 3.12 at least), and the process is never waited for.
+        # at one that was cancelled (seen in Python 3.11.7), and the process is never waited for.
         pool.shutdown(wait=False, cancel_futures=True)
         for process in processes.values():  # kill_workers() from Python 3.14 on
             process.kill()
