@@ -63,7 +63,7 @@ def test_what_is_stored_after_the_answer_is_stored_once(
         return stored[-1]
 
     monkeypatch.setattr(Store, "add_measurement", slow)
-    with asking(settings(tmp_path, 15.0), timeout=120, headers={"Idempotency-Key": "once"}) as client:
+    with asking(settings(tmp_path, 5.0), timeout=120, headers={"Idempotency-Key": "once"}) as client:
 
         def send() -> httpx.Response:
             return client.post(f"{API}/measurements", files={"file": ("w.csv", worn)})

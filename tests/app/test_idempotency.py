@@ -205,6 +205,7 @@ def test_who_was_slow_alone_commits(store: Store) -> None:
     assert ask(store, slow).body == b"slow"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_server_that_is_killed_holds_no_key_for_long(kind: str, shelf: Path, worn: bytes, tmp_path: Path) -> None:
     """Killed in the midst of a write; the next server of the database does it, once."""

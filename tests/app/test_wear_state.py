@@ -83,6 +83,7 @@ def test_recordings_that_have_several_answers_together_count_in_the_newest(clien
     assert state_of(client, asset)["visits"] == 1
 
 
+@pytest.mark.long
 def test_two_servers_say_the_same_to_the_last_bit(shelf: Path, tmp_path: Path) -> None:
     (tmp_path / "catalogues").symlink_to(shelf)
     with ExitStack() as stack:

@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 import numpy as np
+import pytest
 from extremes.scenes import RPM
 from laws import Tree, tree_of
 
@@ -53,6 +54,7 @@ def drawn_machine(rng: np.random.Generator) -> tuple[Tree, dict[str, float]]:
     return tree, {joint: pick([1e-7, 1e-5, 1e-4, 1e-3, 1e-2]) for joint in turning if rng.random() < 0.5}
 
 
+@pytest.mark.long
 def test_several_extremes_at_once() -> None:
     """Most of them run to the end; measured: 70 of 70 and 58 of 60 of other draws."""
     rng = np.random.default_rng(1986)
