@@ -51,6 +51,7 @@ def ideal_of(truth: Truth, protocol: EvaluationProtocol = SHORT) -> np.ndarray:
     return signal
 
 
+@pytest.mark.long
 def test_most_held_out_faults_are_found(small_catalogue: Catalogue) -> None:
     seen: list[tuple[int, int]] = []
     setups = setups_of(["gaussian", "nearest"], ["standard"], ["auto"])

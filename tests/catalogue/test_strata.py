@@ -93,6 +93,7 @@ def p_values(model: FittedGaussian, label: str, stratum: str) -> FloatArray:
     )
 
 
+@pytest.mark.long
 def test_what_it_doubts_is_not_explained(strata: Network) -> None:
     training = training_set(MODEL, sensing(), WATCHED, TRUSTED)
     plain = fit_gaussian(training)
