@@ -54,8 +54,10 @@ LEAST_CASES = 48
 BEYOND = 1.5
 """How far beyond their 90 % intervals clearances are drawn, as a factor."""
 
-FOUND_SHARE = 2.0 / 3.0
-"""Weight of what the machine as found says against what the catalogue's machines do, which are less like it."""
+FOUND_SHARE, UNTOLD_SHARE = 2.0 / 3.0, 1.0 / 3.0
+"""Weight of what the machine as found says against what the catalogue's machines do, which are less like it; and where
+these were heard beside the machine's own past and no load is told, which is all that it has been given of the machine.
+"""
 
 TRAINING = NetworkTraining(rows=20_000, blocks=20)
 """Of the network that learns the cases of one recording: 60 000 rows take three times as long and know no more."""
@@ -367,10 +369,12 @@ def _blend(
     near = _cases_near(every, found.best)
     p_value = found.p_value if found.trusted_p_value is None else found.trusted_p_value
     trust = weight_as_filed(p_value) * near / (1.0 + near)
+    cause = None if load is None else load.cause(trust)
+    share = UNTOLD_SHARE if result.beside and cause is None else FOUND_SHARE
     before = {match.label: match.probability for match in result.hypotheses}
     total = sum(before[match.label] for match in found.hypotheses)
     pooled = {
-        match.label: match.probability**FOUND_SHARE * (before[match.label] / total) ** (1.0 - FOUND_SHARE)
+        match.label: match.probability**share * (before[match.label] / total) ** (1.0 - share)
         for match in found.hypotheses
     }
     whole = sum(pooled.values())
@@ -395,9 +399,9 @@ def _blend(
     # Held-out draws of so few and so near cases are told apart more easily than the machines of the catalogue.
     leading = replace(
         found, hypotheses=matches, conformal=result.conformal, sightings=result.sightings, notes=result.notes,
-        network=result.network,
+        network=result.network, beside=result.beside,
     )  # fmt: skip
-    return Refined(leading, simulated, 2, said, None if load is None else load.cause(trust))
+    return Refined(leading, simulated, 2, said, cause)
 
 
 def _cases_near(every: FoundSpectra, match: HypothesisMatch) -> float:

@@ -17,7 +17,7 @@ from jointplay.catalogue.diagnosing.cause_families import Family, IdealFrame, Mi
 from jointplay.catalogue.diagnosing.causes import TEMPERATURE, NamedCause
 from jointplay.catalogue.diagnosing.frame_forces import FamilyWrench, Revolution, drive_angle, output_forces, split
 from jointplay.catalogue.matching.matcher import HypothesisMatch
-from jointplay.catalogue.plans.driving import WEIGHT
+from jointplay.catalogue.plans.driving import WEIGHT, load_scale
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.signals.suspension import on_mounts
 from jointplay.catalogue.storage.store import Catalogue
@@ -114,9 +114,10 @@ def _bend(angle: FloatArray, force: FloatArray) -> float:
     return float(np.abs(force[0] + part * (force[-1] - force[0]) - force).max())
 
 
-#: Largest load that is looked for, and what loads usually are (standard deviation), as multiples of the weight of the
-#: moving links: nothing else is known of a constant force along a slide.
-MOST_LOAD, USUAL_LOAD = 10.0, 4.0
+#: What loads usually are (standard deviation), as a multiple of the weight of the moving links, and in machines that
+#: move slowly no more than so large a part of the force that plans compare loads with: nothing else is known of a
+#: constant force along a slide. And the largest that is looked for, in these standard deviations.
+USUAL_LOAD, PART_OF_PLANS, MOST_LOAD = 4.0, 0.5, 2.5
 #: What the sizes on both strokes have in common, and by how much the one forward is larger.
 COMMON, DIFFERENCE = np.array([0.5, 0.5]), np.array([1.0, -1.0])
 #: Sizes on either stroke that are looked at, and how often again, more closely around the likely ones.
@@ -201,11 +202,12 @@ def find_load(
     model = IdealFrame.of(machine, speed)
     family = forces_of(model, loads.wrench)
     weight = WEIGHT * sum(link.mass or 0.0 for name, link in machine.links.items() if name != machine.frame)
+    usual = min(USUAL_LOAD * weight, PART_OF_PLANS * load_scale(machine))
     total, mean, square = 0.0, np.zeros(2), np.zeros((2, 2))
     for match in likely:
         known = class_statistics(catalogue, levels, match.label)
         if known is not None:
-            middle, spread = _fit(Misfit.of(known, model), family, weight)
+            middle, spread = _fit(Misfit.of(known, model), family, usual)
             total += match.probability
             mean = mean + match.probability * middle
             square = square + match.probability * (spread + np.outer(middle, middle))
@@ -216,19 +218,19 @@ def find_load(
     return FoundLoad(loads, paths, mean, square / total - np.outer(mean, mean))
 
 
-def _fit(misfit: Misfit, family: Family, weight: float) -> tuple[FloatArray, FloatArray]:
-    """Mean (2,) and covariance (2, 2) of the loads that explain a recording, those of a weight [N] being usual."""
+def _fit(misfit: Misfit, family: Family, usual: float) -> tuple[FloatArray, FloatArray]:
+    """Mean (2,) and covariance (2, 2) of the loads that explain a recording, which usually are so large [N]."""
     axis = np.linspace(-1.0, 1.0, GRID)
     offsets = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
     # One of the two may be known much better than the other, so that the grid has their axes.
     to_sizes = np.linalg.inv(np.array([COMMON, DIFFERENCE]))
-    middle, half = np.zeros(2), np.full(2, MOST_LOAD * weight)
+    middle, half = np.zeros(2), np.full(2, MOST_LOAD * usual)
     points, share = offsets, np.zeros(len(offsets))
     for _ in range(ZOOMS):
         points = middle + half * offsets
         sizes = points @ to_sizes.T
         off = np.concatenate([misfit.of_members([(family, part)])[0] for part in np.array_split(sizes, 4)])
-        share = softmax(-0.5 * (off / TEMPERATURE + np.sum((sizes / (USUAL_LOAD * weight)) ** 2, axis=1)))
+        share = softmax(-0.5 * (off / TEMPERATURE + np.sum((sizes / usual) ** 2, axis=1)))
         middle = share @ points
         half = np.clip(4.0 * np.sqrt(share @ (points - middle) ** 2), 2.0 * half / (GRID - 1), half)
     away = (points - middle) @ to_sizes.T

@@ -186,10 +186,32 @@ def test_a_machine_that_does_not_explain_the_recording_says_little(
 def test_candidate_sets_are_by_the_law_of_the_catalogue(
     small_catalogue: Catalogue, loaded: PreparedMeasurement
 ) -> None:
+    """So is whether the machine's own past was heard, which a load that is told does not end."""
     observed, result = asked(small_catalogue, loaded)
+    result = replace(result, beside=True)
     found = refine(loaded, observed, small_catalogue, result, result.set(0.95).labels, cases=4 * 120)
     assert found.load is not None
     assert found.result.conformal is result.conformal
+    assert found.result.beside
+
+
+def test_without_a_load_the_machines_own_past_says_more(
+    small_catalogue: Catalogue, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What was simulated counts for a third beside it, where it knows nothing of the machine but its file."""
+    prepared = prepared_of(small_catalogue, "B")
+    observed, result = asked(small_catalogue, prepared)
+    even = tuple(replace(match, probability=0.25) for match in result.hypotheses)
+    says = {"B": 0.4, "A": 0.2, "O": 0.2, "healthy": 0.2}
+    said = tuple(replace(match, probability=says[match.label]) for match in result.hypotheses)
+    monkeypatch.setattr(as_found, "_answer", lambda *_, **__: replace(result, hypotheses=said, trusted_p_value=1.0))
+    monkeypatch.setattr(as_found, "weight_as_filed", lambda p_value: 1.0)
+    odds = []
+    for heard in (False, True):
+        vague = replace(result, hypotheses=even, trusted_p_value=1.0, beside=heard)
+        found = refine(prepared, observed, small_catalogue, vague, ["A", "B"], cases=1).result
+        odds.append(math.log(found.probability("B") / found.probability("A")))
+    assert odds[1] == pytest.approx(0.5 * odds[0], rel=0.1)
 
 
 def test_a_machine_that_is_not_taken_for_its_file_is_not_simulated(
