@@ -185,7 +185,8 @@ def find_load(
     Returns
     -------
     FoundLoad or None
-        None where the machine has no output, stands on more than mounts, or is driven by a force.
+        None where the machine has no output, stands on more than mounts, or is driven by a force or by a motor that
+        bears no load.
 
     Raises
     ------
@@ -203,6 +204,8 @@ def find_load(
     family = forces_of(model, loads.wrench)
     weight = WEIGHT * sum(link.mass or 0.0 for name, link in machine.links.items() if name != machine.frame)
     usual = min(USUAL_LOAD * weight, PART_OF_PLANS * load_scale(machine))
+    if not usual:
+        return None
     total, mean, square = 0.0, np.zeros(2), np.zeros((2, 2))
     for match in likely:
         known = class_statistics(catalogue, levels, match.label)

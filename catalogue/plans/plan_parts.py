@@ -352,8 +352,8 @@ def default_wide(machine: Machine) -> dict[str, Distribution]:
         wide = Distribution(factor_loguniform=(0.5, min(2.0, 1.0 / damping))) if damping else None
         found[path] = wide or Distribution(factor_uniform=(0.9, 1.1))
     load = output_load(machine)
-    if load is not None:
-        scale = load_scale(machine) * (load.arm or 1.0)
+    scale = 0.0 if load is None else load_scale(machine) * (load.arm or 1.0)
+    if scale > 0.0:  # a motor that gives the same torque at any speed bears no other load
         found["load"] = _either(LOAD, scale)
         for order, share in LOAD_ORDERS.items() if not isinstance(machine.drive, ForceDrive) else ():
             spread = _either(LOAD, share * scale)

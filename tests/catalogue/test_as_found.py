@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointplay.catalogue.diagnosing import as_found
+from jointplay.catalogue.diagnosing import as_found, stroke_loads
 from jointplay.catalogue.diagnosing.as_found import (
     LEAST_CASES,
     Refined,
@@ -105,6 +105,14 @@ def test_the_load_of_a_stroke_is_found(small_catalogue: Catalogue, loaded: Prepa
     assert cause is not None
     assert cause.name == "load on one stroke"
     assert load.paths == ("loads.0.over_angle", "loads.1.over_angle")
+
+
+def test_of_a_drive_that_bears_no_load_none_is_looked_for(
+    small_catalogue: Catalogue, loaded: PreparedMeasurement, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, result = asked(small_catalogue, loaded)
+    monkeypatch.setattr(stroke_loads, "load_scale", lambda machine: 0.0)
+    assert find_load(loaded, small_catalogue, result.hypotheses[:3]) is None
 
 
 @pytest.mark.long

@@ -9,7 +9,7 @@ import pytest
 from jointplay.catalogue.building.chunk import cut_chunks, simulate_chunk
 from jointplay.catalogue.plans.cases import entries_of
 from jointplay.catalogue.plans.parameters import MachineNumbers, Scatter
-from jointplay.catalogue.plans.plan import parse_plan
+from jointplay.catalogue.plans.plan import parse_plan, preset
 from jointplay.catalogue.plans.plan_parts import Distribution, default_laws, default_uncertain, default_wide
 from jointplay.catalogue.plans.variants import Variant, output_load
 from jointplay.solver.machines.machine import Machine, parse_machine, shipped_machine
@@ -47,6 +47,14 @@ def test_a_machine_without_an_output_link_has_no_load() -> None:
     alone = parse_machine({**tree, "links": links, "joints": {"O": tree["joints"]["O"]}})
     assert output_load(alone) is None
     assert "load" not in default_wide(alone)
+
+
+def test_a_motor_that_bears_no_load_has_none() -> None:
+    """Its torque is the same at any speed, so that nothing makes up for a load."""
+    for curve, has_load in (([[0, 5], [400, 5]], False), ([[0, 6], [400, -6]], True)):
+        machine = changed(drive={"kind": "torque", "joint": "O", "curve": curve})
+        assert ("load" in default_wide(machine)) is has_load
+        assert preset("standard").resolve(machine).wide.draws == 1.0
 
 
 def test_springs_and_dampers_have_one_factor_each() -> None:
