@@ -89,7 +89,7 @@ def judge(
             machine = truth["machine"]
             protocol = truth.get("of", name).removeprefix(f"{machine}-").rpartition("-")[0]
             catalogue = opened.setdefault(machine, Catalogue.open(catalogues / machine))
-            earlier = [] if before is None else [next(before.rglob(f"{file.stem}.npz")) for file, _ in recorded]
+            earlier = [] if before is None else [_before(before, file.name) for file, _ in recorded]
             baseline = [read_measurement(file) for file in earlier] or None
             try:
                 recordings = [read_recording(file) for file, _ in recorded]
@@ -99,6 +99,14 @@ def judge(
                 continue
             content = answer.model_dump(mode="json", exclude={"evidence"})
             yield Judged(name, protocol, truth, content)
+
+
+def _before(folder: Path, name: str) -> Path:
+    """Return the recording of that name from before; ends the program where there is none."""
+    found = next(folder.rglob(name), None)
+    if found is None:
+        raise SystemExit(f"--before: {folder}: has no {name}")
+    return found
 
 
 def interval(right: int, count: int) -> tuple[float, float]:
