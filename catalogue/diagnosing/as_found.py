@@ -8,13 +8,13 @@ what the first cases say of clearances and load. Both go through the matcher tha
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from jointplay.catalogue.building.chunk import cut_chunks, simulate_chunk
 from jointplay.catalogue.diagnosing.causes import NamedCause
+from jointplay.catalogue.diagnosing.found_cases import ToldNumbers, changed, draw_cases, simulate_cases
 from jointplay.catalogue.diagnosing.found_spectra import FoundSpectra
 from jointplay.catalogue.diagnosing.stroke_loads import FoundLoad, find_load
 from jointplay.catalogue.matching.learning import Learning, training_set
@@ -25,15 +25,10 @@ from jointplay.catalogue.matching.network import NetworkTraining
 from jointplay.catalogue.matching.network_shelf import NetworkShelf
 from jointplay.catalogue.matching.prior import Prior
 from jointplay.catalogue.matching.refit import weight_as_filed
-from jointplay.catalogue.plans.cases import entries_of
-from jointplay.catalogue.plans.driving import DRIVE_SPEED
-from jointplay.catalogue.plans.entry import Entry, Recipe, seed_from
-from jointplay.catalogue.plans.plan_parts import DrawCounts
+from jointplay.catalogue.plans.entry import Entry
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
-from jointplay.catalogue.storage.cross_power import pack, pack_cyclic
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.arrays import FloatArray
-from jointplay.solver.machines.machine import Machine, has_known_effort
 
 CERTAIN = 0.9
 """Nothing is simulated where the machine is as its file says, and one hypothesis alone is in the candidate set and has
@@ -99,6 +94,7 @@ def refine(
     *,
     mode: ModeAsked = "auto",
     prior: Prior | None = None,
+    tell: Callable[[], tuple[FoundLoad | None, ToldNumbers | None]] = lambda: (None, None),
     cases: int,
 ) -> Refined:
     """Simulate the machine as found where that can change the answer.
@@ -117,6 +113,8 @@ def refine(
         How the cases are learned from; with "robust" none are simulated.
     prior : Prior, optional
         That of the answer; the usual one unless given.
+    tell : callable, optional
+        Returns load and numbers that recordings of the machine in order have told.
     cases : int
         How many may be simulated, of all sets together; some are in any case.
 
@@ -134,12 +132,16 @@ def refine(
     chosen = sets_to_simulate(result)
     if len(chosen) < 2:
         return Refined(result, 0, 0, "only one hypothesis is probable at all")
-    with one_thread():
-        load = find_load(prepared, catalogue, result.hypotheses[:3]) if is_doubted else None
     speed = math.copysign(prepared.drive_speed, catalogue.recipe.nominal_drive_speed)
+    load, numbers = tell() if is_doubted else (None, None)
+    if is_doubted and numbers is None:
+        with one_thread():
+            shown = [(prepared, match.label, match.probability) for match in result.hypotheses[:3]]
+            load = find_load(catalogue, shown, speed)
     count = max(LEAST_CASES, cases // len(chosen))
     first = round(FIRST_SHARE * count)
-    machine, drawn = draw_cases(catalogue, speed, chosen, load, count)
+    sets = [match.joints for match in chosen]
+    machine, drawn = draw_cases(catalogue, speed, sets, load, count, doubted=numbers is not None, told=numbers)
     paths = load.paths if load else ()
     whole = {
         match.label: _Region.of([e for e in drawn if e.hypothesis.label == match.label], paths) for match in chosen
@@ -149,8 +151,8 @@ def refine(
         moved = []
         for entry in cases:
             old, new = whole[entry.hypothesis.label], regions[entry.hypothesis.label]
-            clearances, numbers = old.clearances(entry, new), old.numbers(entry, new, paths)
-            moved.append(_case(entry, machine, catalogue.recipe, clearances, numbers))
+            clearances, sizes = old.clearances(entry, new), old.numbers(entry, new, paths)
+            moved.append(changed(entry, machine, catalogue.recipe, clearances, sizes))
         return simulate_cases(catalogue, machine, moved)
 
     wide = {match.label: whole[match.label].around(match) for match in chosen}
@@ -184,7 +186,9 @@ def refine(
         replace(match, probability=weight / sum(weights))
         for match, weight in zip(found.hypotheses, weights, strict=True)
     ]
-    return _blend(result, replace(found, hypotheses=rank(again).hypotheses), every, len(drawn), load)
+    refined = _blend(result, replace(found, hypotheses=rank(again).hypotheses), every, len(drawn), load)
+    told = "; with numbers that the machine in order has told" if numbers else ""
+    return replace(refined, reason=refined.reason + told)
 
 
 def networks_of(spectra: FoundSpectra, observed: Observed) -> NetworkShelf:
@@ -214,66 +218,6 @@ def sets_to_simulate(result: MatchResult) -> tuple[HypothesisMatch, ...]:
         return 1 if any(len(joints.symmetric_difference(match.joints)) == 1 for joints in leading) else 2
 
     return tuple(sorted(result.hypotheses, key=place)[:SETS])
-
-
-def draw_cases(
-    catalogue: Catalogue, speed: float, chosen: Sequence[HypothesisMatch], load: FoundLoad | None, count: int
-) -> tuple[Machine, list[Entry]]:
-    """The machine as found, and so many cases of each set, at a speed [rad/s]."""
-    machine = catalogue.machine if load is None else load.machine(catalogue.machine)
-    plan = catalogue.plan.resolve(machine)
-    plan = plan.model_copy(
-        update={
-            "hypotheses": ("healthy",) if any(not match.joints for match in chosen) else (),
-            "sets": tuple(match.joints for match in chosen if match.joints),
-            "draws": DrawCounts(healthy=count, single=count, pair=count, larger=count),
-            # Machines whose other joints are ideal would each need a model of their own.
-            "fits": plan.fits.model_copy(update={"silent": 0.0}),
-            "wide": plan.wide.model_copy(update={"draws": 0.0}),
-            "speeds": (1.0,),
-            "loads": None,
-            "guard": 0,
-        }
-    )
-    found = []
-    # What a motor turns at follows from its numbers, which are drawn.
-    turned = {} if has_known_effort(machine) else {DRIVE_SPEED: speed}
-    for entry in entries_of(plan, machine):
-        parameters = {**entry.parameters, **turned}
-        if load is not None:
-            generator = np.random.default_rng(seed_from("load as found", entry.hypothesis.label, entry.draw))
-            parameters |= dict(zip(load.paths, load.draw(generator.normal(size=2)).tolist(), strict=True))
-        found.append(_case(entry, machine, catalogue.recipe, entry.clearances, parameters))
-    return machine, found
-
-
-def _case(
-    entry: Entry, machine: Machine, recipe: Recipe, clearances: tuple[float, ...], parameters: Mapping[str, float]
-) -> Entry:
-    return Entry.of(
-        machine,
-        recipe,
-        hypothesis=entry.hypothesis,
-        joints=entry.joints,
-        clearances=clearances,
-        parameters=parameters,
-        draw=entry.draw,
-        variant=entry.variant,
-    )
-
-
-def simulate_cases(catalogue: Catalogue, machine: Machine, cases: Sequence[Entry]) -> FoundSpectra:
-    """Simulate cases, and leave out those that could not be."""
-    cuts = catalogue.matrix.cuts
-    entries: list[Entry] = []
-    spectra: list[FloatArray] = []
-    for chunk in cut_chunks(machine, catalogue.recipe, cases, max(1, len(cases))):
-        for entry, outcome in zip(chunk.entries, simulate_chunk(chunk), strict=True):
-            if outcome.power is not None and outcome.cyclic is not None:
-                joined = np.add.reduceat(pack(outcome.power)[: cuts[-1]], cuts[:-1], axis=0)
-                entries.append(entry)
-                spectra.append(np.concatenate([joined, pack_cyclic(outcome.cyclic)[: len(joined)]], axis=1))
-    return FoundSpectra(catalogue.matrix, tuple(entries), np.array(spectra))
 
 
 @dataclass(frozen=True, eq=False)

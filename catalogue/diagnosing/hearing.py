@@ -124,6 +124,8 @@ def hear(
             note = "the baseline says more of the machine's numbers than its file, which is simulated"
             spent = EffortSpent(simulations=0, generations=0, note=note)
         else:
+            # A load that has come since, the machine in order has not shown.
+            own = {"tell": partial(known.tell, catalogue)} if known and not causes else {}
             refined = refine(
                 prepared,
                 Observed(sensing, feature, watched_levels(prepared), prepared.drive_speed),
@@ -133,6 +135,7 @@ def hear(
                 mode=question.mode,
                 prior=question.prior,
                 cases=question.cases,
+                **own,
             )
             # What a machine has always had, which its file has not, is neither a cause nor a change.
             is_as_it_was = p_since is not None and not is_otherwise

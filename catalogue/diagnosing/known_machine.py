@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from jointplay.catalogue.diagnosing.answer_of_baseline import BaselineRecording, BaselineShown
 from jointplay.catalogue.diagnosing.baseline import Baseline, fit_baseline
+from jointplay.catalogue.diagnosing.found_cases import ToldNumbers
 from jointplay.catalogue.diagnosing.question import MOST_TOGETHER
+from jointplay.catalogue.diagnosing.stroke_loads import FoundLoad
+from jointplay.catalogue.diagnosing.told_numbers import tell_numbers
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.measurements.measurement import Recording
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
@@ -32,6 +35,7 @@ class KnownMachine:
     baseline: Baseline
     sha256: tuple[str, ...]
     past: tuple[PreparedMeasurement, ...] = ()
+    _told: list[tuple[FoundLoad | None, ToldNumbers | None]] = field(default_factory=list, repr=False, compare=False)
 
     @classmethod
     def of(cls, in_order: Mapping[str, PreparedMeasurement], catalogue: Catalogue) -> KnownMachine:
@@ -47,6 +51,13 @@ class KnownMachine:
         paths = [path for group in self.baseline.paths.values() for path in group]
         rows = [matrix.rows(hypothesis.label) for hypothesis in matrix.hypotheses]
         return self.baseline.weights(matrix.numbers(paths), rows)
+
+    def tell(self, catalogue: Catalogue) -> tuple[FoundLoad | None, ToldNumbers | None]:
+        """Return what they tell of load and numbers, by simulations of the machine in order; they are made once."""
+        if not self._told:
+            earlier = [self.baseline.correct(each, catalogue.machine) for each in self.past if not each.flaws]
+            self._told.append(tell_numbers(earlier, catalogue) if earlier else (None, None))
+        return self._told[0]
 
     def describe(self, *, heard: bool) -> BaselineShown:
         """Return it as an answer shows it that has, or has not, heard how its recording differs from these."""

@@ -16,7 +16,6 @@ from jointplay.catalogue.diagnosing.baseline_levels import OrderLevels, class_st
 from jointplay.catalogue.diagnosing.cause_families import Family, IdealFrame, Misfit, forces_of
 from jointplay.catalogue.diagnosing.causes import TEMPERATURE, NamedCause
 from jointplay.catalogue.diagnosing.frame_forces import FamilyWrench, Revolution, drive_angle, output_forces, split
-from jointplay.catalogue.matching.matcher import HypothesisMatch
 from jointplay.catalogue.plans.driving import WEIGHT, load_scale
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.signals.suspension import on_mounts
@@ -141,12 +140,15 @@ class FoundLoad:
         N.
     covariance : (2, 2) array
         N^2.
+    wider : float
+        How much wider loads are drawn, as a factor.
     """
 
     loads: StrokeLoads
     paths: tuple[str, str]
     mean: FloatArray
     covariance: FloatArray
+    wider: float = WIDER
 
     def machine(self, base: Machine) -> Machine:
         """The machine with both loads."""
@@ -154,7 +156,7 @@ class FoundLoad:
 
     def draw(self, normal: FloatArray) -> FloatArray:
         """Sizes (2,) [N] for two standard normal numbers."""
-        spread = WIDER**2 * self.covariance + np.diag((SHARE * self.mean) ** 2)
+        spread = self.wider**2 * self.covariance + np.diag((SHARE * self.mean) ** 2)
         return np.asarray(self.mean + np.linalg.cholesky(spread) @ normal)
 
     def cause(self, probability: float) -> NamedCause | None:
@@ -171,16 +173,23 @@ class FoundLoad:
 
 
 def find_load(
-    prepared: PreparedMeasurement, catalogue: Catalogue, likely: Sequence[HypothesisMatch]
+    catalogue: Catalogue,
+    shown: Sequence[tuple[PreparedMeasurement, str, float]],
+    speed: float,
+    *,
+    takes_work: bool = False,
 ) -> FoundLoad | None:
-    """Fit a load to the low orders of a recording, beside the wear that it is likely of.
+    """Fit a load to the low orders of recordings, beside the wear that each is likely of.
 
     Parameters
     ----------
-    prepared : PreparedMeasurement
     catalogue : Catalogue
-    likely : sequence of HypothesisMatch
-        Whose machines of the catalogue the load acts on, by probability.
+    shown : sequence of (PreparedMeasurement, str, float)
+        Recordings, hypotheses whose machines of the catalogue the load acts on, and what each counts.
+    speed : float
+        Drive speed that the machine with the load is simulated at, rad/s.
+    takes_work : bool
+        Whether a load that would give work to the drive is none: levels can hardly tell one from its opposite.
 
     Returns
     -------
@@ -191,37 +200,34 @@ def find_load(
     Raises
     ------
     DiagnosisError
-        The ideal machine does not come round at this speed.
+        The ideal machine does not come round at a recording's speed.
     """
-    machine, levels = catalogue.machine, OrderLevels.of(prepared)
-    speed = math.copysign(prepared.drive_speed, catalogue.recipe.nominal_drive_speed)
+    machine = catalogue.machine
     if not on_mounts(machine) or isinstance(machine.drive, ForceDrive):
         return None
-    loads = StrokeLoads.of(machine, speed)
-    if loads is None:
-        return None
-    model = IdealFrame.of(machine, speed)
-    family = forces_of(model, loads.wrench)
+    found = StrokeLoads.of(machine, speed)
     weight = WEIGHT * sum(link.mass or 0.0 for name, link in machine.links.items() if name != machine.frame)
     usual = min(USUAL_LOAD * weight, PART_OF_PLANS * load_scale(machine))
-    if not usual:
+    if found is None or not usual:
         return None
     total, mean, square = 0.0, np.zeros(2), np.zeros((2, 2))
-    for match in likely:
-        known = class_statistics(catalogue, levels, match.label)
-        if known is not None:
-            middle, spread = _fit(Misfit.of(known, model), family, usual)
-            total += match.probability
-            mean = mean + match.probability * middle
-            square = square + match.probability * (spread + np.outer(middle, middle))
+    for prepared, label, share in shown:
+        levels, own = OrderLevels.of(prepared), math.copysign(prepared.drive_speed, speed)
+        loads, known = StrokeLoads.of(machine, own), class_statistics(catalogue, levels, label)
+        if loads is not None and known is not None:
+            model = IdealFrame.of(machine, own)
+            middle, spread = _fit(Misfit.of(known, model), forces_of(model, loads.wrench), usual, takes_work=takes_work)
+            total += share
+            mean = mean + share * middle
+            square = square + share * (spread + np.outer(middle, middle))
     if not total:
         return None
     mean, first = mean / total, len(machine.loads)
     paths = (f"loads.{first}.over_angle", f"loads.{first + 1}.over_angle")
-    return FoundLoad(loads, paths, mean, square / total - np.outer(mean, mean))
+    return FoundLoad(found, paths, mean, square / total - np.outer(mean, mean))
 
 
-def _fit(misfit: Misfit, family: Family, usual: float) -> tuple[FloatArray, FloatArray]:
+def _fit(misfit: Misfit, family: Family, usual: float, *, takes_work: bool) -> tuple[FloatArray, FloatArray]:
     """Mean (2,) and covariance (2, 2) of the loads that explain a recording, which usually are so large [N]."""
     axis = np.linspace(-1.0, 1.0, GRID)
     offsets = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -233,7 +239,8 @@ def _fit(misfit: Misfit, family: Family, usual: float) -> tuple[FloatArray, Floa
         points = middle + half * offsets
         sizes = points @ to_sizes.T
         off = np.concatenate([misfit.of_members([(family, part)])[0] for part in np.array_split(sizes, 4)])
-        share = softmax(-0.5 * (off / TEMPERATURE + np.sum((sizes / usual) ** 2, axis=1)))
+        gives = np.where(takes_work & (points[:, 1] > 0.0), np.inf, 0.0)
+        share = softmax(-0.5 * (off / TEMPERATURE + np.sum((sizes / usual) ** 2, axis=1)) - gives)
         middle = share @ points
         half = np.clip(4.0 * np.sqrt(share @ (points - middle) ** 2), 2.0 * half / (GRID - 1), half)
     away = (points - middle) @ to_sizes.T

@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from jointplay.catalogue.diagnosing import as_found, stroke_loads
-from jointplay.catalogue.diagnosing.as_found import (
-    LEAST_CASES,
-    Refined,
-    draw_cases,
-    networks_of,
-    refine,
-    sets_to_simulate,
-    simulate_cases,
-)
+from jointplay.catalogue.diagnosing.as_found import LEAST_CASES, Refined, networks_of, refine, sets_to_simulate
 from jointplay.catalogue.diagnosing.comparison import exact_sensing, features_of, watched_levels
 from jointplay.catalogue.diagnosing.diagnosis import answer
+from jointplay.catalogue.diagnosing.found_cases import ToldNumbers, draw_cases, simulate_cases
+from jointplay.catalogue.diagnosing.found_spectra import FoundSpectra
 from jointplay.catalogue.diagnosing.question import Question
 from jointplay.catalogue.diagnosing.stroke_loads import StrokeLoads, find_load
 from jointplay.catalogue.evaluation.protocols import PROTOCOLS, draw_truth
@@ -28,11 +23,11 @@ from jointplay.catalogue.matching.learning import Learning, training_set
 from jointplay.catalogue.matching.matcher import MatchResult
 from jointplay.catalogue.matching.model_library import ModelLibrary, Observed, library_of
 from jointplay.catalogue.matching.network_shelf import Networks
-from jointplay.catalogue.plans.entry import Hypothesis
+from jointplay.catalogue.plans.entry import Entry, Hypothesis
 from jointplay.catalogue.signals.features import prepare
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.storage.store import Catalogue
-from jointplay.solver.machines.machine import shipped_machine
+from jointplay.solver.machines.machine import Machine, shipped_machine
 
 SHORT = replace(PROTOCOLS["matched"], revolutions=12.0)
 LOADS = (90.0, 10.0)
@@ -48,6 +43,10 @@ def prepared_of(catalogue: Catalogue, joint: str, loads: tuple[float, float] | N
     ((_, ideal),) = Recordings().ideal(SHORT, [truth])
     assert ideal is not None
     return prepare(recorded(SHORT, truth, ideal), catalogue.machine, scheme=catalogue.scheme)
+
+
+def of_likely(prepared: PreparedMeasurement, result: MatchResult) -> list[tuple[PreparedMeasurement, str, float]]:
+    return [(prepared, match.label, match.probability) for match in result.hypotheses[:3]]
 
 
 def asked(catalogue: Catalogue, prepared: PreparedMeasurement) -> tuple[Observed, MatchResult]:
@@ -97,7 +96,7 @@ def test_unit_loads_share_the_strokes(name: str) -> None:
 def test_the_load_of_a_stroke_is_found(small_catalogue: Catalogue, loaded: PreparedMeasurement) -> None:
     """On a slide only what one stroke has more than the other shakes the frame; the rest is as uncertain as ever."""
     _, result = asked(small_catalogue, loaded)
-    load = find_load(loaded, small_catalogue, result.hypotheses[:3])
+    load = find_load(small_catalogue, of_likely(loaded, result), small_catalogue.recipe.nominal_drive_speed)
     assert load is not None
     assert load.mean[0] - load.mean[1] == pytest.approx(LOADS[0] - LOADS[1], abs=12.0)
     assert math.sqrt(load.covariance.sum() / 4.0) > 20.0
@@ -112,7 +111,7 @@ def test_of_a_drive_that_bears_no_load_none_is_looked_for(
 ) -> None:
     _, result = asked(small_catalogue, loaded)
     monkeypatch.setattr(stroke_loads, "load_scale", lambda machine: 0.0)
-    assert find_load(loaded, small_catalogue, result.hypotheses[:3]) is None
+    assert find_load(small_catalogue, of_likely(loaded, result), small_catalogue.recipe.nominal_drive_speed) is None
 
 
 @pytest.mark.long
@@ -146,9 +145,9 @@ def test_a_network_that_has_learned_the_cases_knows_more_than_curves(
     small_catalogue: Catalogue, loaded: PreparedMeasurement
 ) -> None:
     """Of draws that neither has seen; where there are too few cases there is none."""
-    observed, result = asked(small_catalogue, loaded)
+    observed, _ = asked(small_catalogue, loaded)
     learning, speed = Learning.of("trusted"), small_catalogue.recipe.nominal_drive_speed
-    sets = [replace(result.best, label="+".join(joints), joints=tuple(joints)) for joints in ("AB", "AO", "ABO")]
+    sets = [tuple(joints) for joints in ("AB", "AO", "ABO")]
     machine, drawn = draw_cases(small_catalogue, speed, sets, None, 260)
     every = simulate_cases(small_catalogue, machine, drawn)
     few, shown, fresh = (
@@ -220,6 +219,38 @@ def test_without_a_load_the_machines_own_past_says_more(
         found = refine(prepared, observed, small_catalogue, vague, ["A", "B"], cases=1).result
         odds.append(math.log(found.probability("B") / found.probability("A")))
     assert odds[1] == pytest.approx(0.5 * odds[0], rel=0.1)
+
+
+@pytest.mark.long
+def test_what_the_machine_in_order_has_told_is_simulated(
+    small_catalogue: Catalogue, loaded: PreparedMeasurement, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its load and its numbers, where the recording is doubted; of one that can be as filed nothing is asked."""
+    _, result = asked(small_catalogue, loaded)
+    load = find_load(small_catalogue, of_likely(loaded, result), small_catalogue.recipe.nominal_drive_speed)
+    assert load is not None
+    load = replace(load, mean=np.array([-50.0, 20.0]))
+    path = "links.frame.mass"
+    told = ToldNumbers((path,), np.array([math.log(7.5)]), np.array([1e-4]), np.array([True]))
+    simulated: list[Entry] = []
+
+    def simulate(catalogue: Catalogue, machine: Machine, cases: Sequence[Entry]) -> FoundSpectra:
+        simulated.extend(cases)
+        return simulate_cases(catalogue, machine, cases)
+
+    monkeypatch.setattr(as_found, "simulate_cases", simulate)
+    observed, result = asked(small_catalogue, loaded)
+    vague = replace(result, trusted_p_value=1e-4)
+    found = refine(loaded, observed, small_catalogue, vague, ["A", "B"], tell=lambda: (load, told), cases=1)
+    assert "loads of -50 and 20 N" in found.reason
+    assert {round(entry.parameters[path], 1) for entry in simulated} == {7.5}
+    simulated.clear()
+    certain = replace(result, trusted_p_value=1.0)
+    assert (
+        "loads"
+        not in refine(loaded, observed, small_catalogue, certain, ["A", "B"], tell=lambda: (load, told), cases=1).reason
+    )
+    assert len({entry.parameters[path] for entry in simulated}) > 10
 
 
 def test_a_machine_that_is_not_taken_for_its_file_is_not_simulated(

@@ -1,0 +1,155 @@
+"""Cases that are simulated for one recording: drawn as those of a plan are, with what recordings have told."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from jointplay.catalogue.building.chunk import cut_chunks, simulate_chunk
+from jointplay.catalogue.diagnosing.found_spectra import FoundSpectra
+from jointplay.catalogue.diagnosing.stroke_loads import FoundLoad
+from jointplay.catalogue.plans.cases import entries_of
+from jointplay.catalogue.plans.driving import DRIVE_SPEED
+from jointplay.catalogue.plans.entry import Entry, Recipe, seed_from
+from jointplay.catalogue.plans.parameters import ripple_order
+from jointplay.catalogue.plans.plan import Plan
+from jointplay.catalogue.plans.plan_parts import Distribution, DrawCounts, default_wide
+from jointplay.catalogue.storage.cross_power import pack, pack_cyclic
+from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.arrays import BoolArray, FloatArray
+from jointplay.solver.machines.machine import Machine, has_known_effort
+
+DOUBT = 2.0
+"""How many times as far as in other files the frame and its mounts are off in the file of a machine that is doubted."""
+
+
+@dataclass(frozen=True, eq=False)
+class ToldNumbers:
+    """Numbers of a machine as recordings of it have told them: independent normal laws.
+
+    Parameters
+    ----------
+    paths : tuple of str
+    mean, error : ndarray, shape (p,)
+        SI, or of the logarithm.
+    logarithmic : ndarray of bool, shape (p,)
+        Of which numbers.
+    """
+
+    paths: tuple[str, ...]
+    mean: FloatArray
+    error: FloatArray
+    logarithmic: BoolArray
+
+    def draw(self, number: int) -> dict[str, float]:
+        """Return numbers by path, SI, of the machine of a draw."""
+        normal = np.random.default_rng(seed_from("numbers as told", number)).normal(size=len(self.paths))
+        drawn = self.mean + self.error * normal
+        drawn[self.logarithmic] = np.exp(drawn[self.logarithmic])
+        return dict(zip(self.paths, drawn.tolist(), strict=True))
+
+
+def draw_cases(
+    catalogue: Catalogue,
+    speed: float,
+    sets: Sequence[tuple[str, ...]],
+    load: FoundLoad | None,
+    count: int,
+    *,
+    doubted: bool = False,
+    told: ToldNumbers | None = None,
+) -> tuple[Machine, list[Entry]]:
+    """Draw so many cases of each set of worn joints, at a speed [rad/s].
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+    speed : float
+        rad/s.
+    sets : sequence of tuple of str
+        Worn joints; none for the machine in order.
+    load : FoundLoad or None
+        That the machine has.
+    count : int
+        Cases of each set.
+    doubted : bool
+        Whether frame and mounts may be off further than in a catalogue's trusted draws, and the drive ripples.
+    told : ToldNumbers, optional
+        In place of what is drawn of these numbers.
+
+    Returns
+    -------
+    (Machine, list of Entry)
+        The machine that the cases are of.
+    """
+    machine = catalogue.machine if load is None else load.machine(catalogue.machine)
+    plan = catalogue.plan.resolve(machine)
+    plan = plan.model_copy(
+        update={
+            "hypotheses": () if all(sets) else ("healthy",),
+            "sets": tuple(filter(None, sets)),
+            "draws": DrawCounts(healthy=count, single=count, pair=count, larger=count),
+            # Machines whose other joints are ideal would each need a model of their own.
+            "fits": plan.fits.model_copy(update={"silent": 0.0}),
+            "wide": plan.wide.model_copy(update={"draws": 0.0}),
+            "uncertain": _doubtful(plan, machine) if doubted else plan.uncertain,
+            "speeds": (1.0,),
+            "loads": None,
+            "guard": 0,
+        }
+    )
+    found = []
+    # What a motor turns at follows from its numbers, which are drawn.
+    turned = {} if has_known_effort(machine) else {DRIVE_SPEED: speed}
+    for entry in entries_of(plan, machine):
+        parameters = {**entry.parameters, **turned, **(told.draw(entry.draw) if told else {})}
+        if load is not None:
+            generator = np.random.default_rng(seed_from("load as found", entry.hypothesis.label, entry.draw))
+            parameters |= dict(zip(load.paths, load.draw(generator.normal(size=2)).tolist(), strict=True))
+        found.append(changed(entry, machine, catalogue.recipe, entry.clearances, parameters))
+    return machine, found
+
+
+def _doubtful(plan: Plan, machine: Machine) -> dict[str, Distribution]:
+    """What is drawn of a machine that is not as its file says."""
+    assert plan.uncertain is not None  # a plan without open ends
+    wider = {
+        path: drawn.model_copy(update={"lognormal": DOUBT * drawn.lognormal})
+        for path, drawn in plan.uncertain.items()
+        if path.startswith(("frame.", "supports.", "modes.")) and drawn.lognormal
+    }
+    wide = plan.wide.uncertain or default_wide(machine)
+    ripple = {path: drawn for path, drawn in wide.items() if ripple_order(path) is not None}
+    return {**plan.uncertain, **wider, **ripple}
+
+
+def changed(
+    entry: Entry, machine: Machine, recipe: Recipe, clearances: tuple[float, ...], parameters: Mapping[str, float]
+) -> Entry:
+    """Return a case with other clearances [m] and numbers [SI], of a machine."""
+    return Entry.of(
+        machine,
+        recipe,
+        hypothesis=entry.hypothesis,
+        joints=entry.joints,
+        clearances=clearances,
+        parameters=parameters,
+        draw=entry.draw,
+        variant=entry.variant,
+    )
+
+
+def simulate_cases(catalogue: Catalogue, machine: Machine, cases: Sequence[Entry]) -> FoundSpectra:
+    """Simulate cases, and leave out those that could not be."""
+    cuts = catalogue.matrix.cuts
+    entries: list[Entry] = []
+    spectra: list[FloatArray] = []
+    for chunk in cut_chunks(machine, catalogue.recipe, cases, max(1, len(cases))):
+        for entry, outcome in zip(chunk.entries, simulate_chunk(chunk), strict=True):
+            if outcome.power is not None and outcome.cyclic is not None:
+                joined = np.add.reduceat(pack(outcome.power)[: cuts[-1]], cuts[:-1], axis=0)
+                entries.append(entry)
+                spectra.append(np.concatenate([joined, pack_cyclic(outcome.cyclic)[: len(joined)]], axis=1))
+    return FoundSpectra(catalogue.matrix, tuple(entries), np.array(spectra))
