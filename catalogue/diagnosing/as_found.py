@@ -17,6 +17,7 @@ from jointplay.catalogue.diagnosing.causes import NamedCause
 from jointplay.catalogue.diagnosing.found_cases import ToldNumbers, changed, draw_cases, simulate_cases
 from jointplay.catalogue.diagnosing.found_spectra import FoundSpectra
 from jointplay.catalogue.diagnosing.stroke_loads import FoundLoad, find_load
+from jointplay.catalogue.diagnosing.told_numbers import CASES
 from jointplay.catalogue.matching.learning import Learning, training_set
 from jointplay.catalogue.matching.matcher import HypothesisMatch, MatchResult, rank
 from jointplay.catalogue.matching.model_library import DOUBTED_BELOW, ModelLibrary, Observed, one_thread
@@ -116,7 +117,7 @@ def refine(
     tell : callable, optional
         Returns load and numbers that recordings of the machine in order have told.
     cases : int
-        How many may be simulated, of all sets together; some are in any case.
+        How many may be simulated, of all sets together; some are in any case. Those of the machine in order are more.
 
     Returns
     -------
@@ -134,7 +135,7 @@ def refine(
         return Refined(result, 0, 0, "only one hypothesis is probable at all")
     speed = math.copysign(prepared.drive_speed, catalogue.recipe.nominal_drive_speed)
     load, numbers = tell() if is_doubted else (None, None)
-    if is_doubted and numbers is None:
+    if is_doubted and load is None:
         with one_thread():
             shown = [(prepared, match.label, match.probability) for match in result.hypotheses[:3]]
             load = find_load(catalogue, shown, speed)
@@ -187,7 +188,7 @@ def refine(
         for match, weight in zip(found.hypotheses, weights, strict=True)
     ]
     refined = _blend(result, replace(found, hypotheses=rank(again).hypotheses), every, len(drawn), load)
-    told = "; with numbers that the machine in order has told" if numbers else ""
+    told = f"; numbers by {CASES} cases of the machine in order" if numbers else ""
     return replace(refined, reason=refined.reason + told)
 
 

@@ -27,7 +27,7 @@ DOUBT = 2.0
 
 @dataclass(frozen=True, eq=False)
 class ToldNumbers:
-    """Numbers of a machine as recordings of it have told them: independent normal laws.
+    """Numbers of a machine as recordings of it have told them: normal laws, whose errors count as independent.
 
     Parameters
     ----------
@@ -115,13 +115,17 @@ def draw_cases(
 def _doubtful(plan: Plan, machine: Machine) -> dict[str, Distribution]:
     """What is drawn of a machine that is not as its file says."""
     assert plan.uncertain is not None  # a plan without open ends
+    own = ("frame.", f"links.{machine.frame}.", "supports.", "modes.")
     wider = {
         path: drawn.model_copy(update={"lognormal": DOUBT * drawn.lognormal})
         for path, drawn in plan.uncertain.items()
-        if path.startswith(("frame.", "supports.", "modes.")) and drawn.lognormal
+        if path.startswith(own) and drawn.lognormal and not (path.startswith("modes.") and path.endswith("damping"))
     }
-    wide = plan.wide.uncertain or default_wide(machine)
-    ripple = {path: drawn for path, drawn in wide.items() if ripple_order(path) is not None}
+    asked, usual = (
+        {path: drawn for path, drawn in spread.items() if ripple_order(path) is not None}
+        for spread in (plan.wide.uncertain or {}, default_wide(machine))
+    )
+    ripple = asked or usual
     return {**plan.uncertain, **wider, **ripple}
 
 

@@ -35,7 +35,9 @@ class KnownMachine:
     baseline: Baseline
     sha256: tuple[str, ...]
     past: tuple[PreparedMeasurement, ...] = ()
-    _told: list[tuple[FoundLoad | None, ToldNumbers | None]] = field(default_factory=list, repr=False, compare=False)
+    _told: list[tuple[FoundLoad | None, ToldNumbers | None]] = field(
+        default_factory=list, init=False, repr=False, compare=False
+    )
 
     @classmethod
     def of(cls, in_order: Mapping[str, PreparedMeasurement], catalogue: Catalogue) -> KnownMachine:
@@ -53,7 +55,10 @@ class KnownMachine:
         return self.baseline.weights(matrix.numbers(paths), rows)
 
     def tell(self, catalogue: Catalogue) -> tuple[FoundLoad | None, ToldNumbers | None]:
-        """Return what they tell of load and numbers, by simulations of the machine in order; they are made once."""
+        """Return what they tell of load and numbers, by simulations of the machine in order, which are made once.
+
+        Of the catalogue that it was fitted by.
+        """
         if not self._told:
             earlier = [self.baseline.correct(each, catalogue.machine) for each in self.past if not each.flaws]
             self._told.append(tell_numbers(earlier, catalogue) if earlier else (None, None))

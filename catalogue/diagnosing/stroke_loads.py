@@ -129,7 +129,7 @@ SURELY = 3.0
 
 @dataclass(frozen=True, eq=False)
 class FoundLoad:
-    """What the low orders say of the loads on both strokes: a normal law.
+    """What recordings say of the loads on both strokes: a normal law.
 
     Parameters
     ----------

@@ -18,6 +18,7 @@ from jointplay.catalogue.diagnosing.found_cases import ToldNumbers, draw_cases, 
 from jointplay.catalogue.diagnosing.stroke_loads import COMMON, DIFFERENCE, FoundLoad, find_load
 from jointplay.catalogue.matching.learning import Learning, training_set
 from jointplay.catalogue.matching.model_library import one_thread
+from jointplay.catalogue.matching.observation import Sensing
 from jointplay.catalogue.plans.entry import HEALTHY
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.storage.store import Catalogue
@@ -25,6 +26,9 @@ from jointplay.solver.arrays import FloatArray
 
 CASES = 768
 """Of the machine in order."""
+
+SAME_SPEED = 0.01
+"""Speeds that differ by less, as a part, are one."""
 
 COMPONENTS = 60
 """Principal components of the features that numbers are told by."""
@@ -61,43 +65,58 @@ def tell_numbers(
     with one_thread():
         load = find_load(catalogue, [(first, HEALTHY, 1.0)], speed, takes_work=True)
     machine, drawn = draw_cases(catalogue, speed, [()], load, CASES, doubted=True)
+    own = (f"links.{machine.frame}.", "supports.", "modes.", "drive.ripple.")
+    paths = tuple(path for path in drawn[0].parameters if path.startswith(own))
+    if not (paths or load):
+        return None, None
     cases = simulate_cases(catalogue, machine, drawn)
     if len(cases.entries) < CASES // 2:
         return None, None
-    sensing = exact_sensing(first)
-    shown = np.mean([features_of(each, sensing) for each in _alike(in_order, catalogue)], axis=0)
-    rows = {HEALTHY: cases.rows(HEALTHY)}
-    (draws,) = training_set(cases, sensing, watched_levels(first), Learning(rows=1), rows=rows).hypotheses
-    own = (f"links.{machine.frame}.", "supports.", "modes.", "drive.ripple.")
-    paths = tuple(path for path in cases.entries[0].parameters if path.startswith(own))
-    numbers = np.array([[entry.parameters[path] for path in paths] for entry in cases.entries])
+    parts, of_load = np.array([COMMON, DIFFERENCE]), load.paths if load else ()
+    sizes, numbers = (
+        np.array([[entry.parameters[path] for path in some] for entry in cases.entries]) for some in (of_load, paths)
+    )
     logarithmic = np.asarray((numbers > 0.0).all(axis=0), bool)
     numbers[:, logarithmic] = np.log(numbers[:, logarithmic])
-    parts, of_load = np.array([COMMON, DIFFERENCE]), load.paths if load else ()
-    sizes = np.array([[entry.parameters[path] for path in of_load] for entry in cases.entries])
-    sizes = sizes @ parts.T if load else sizes
     with one_thread():
-        mean, error = regress(draws.features, np.hstack([sizes, numbers]), shown)
+        sensing, shown = _shown(in_order)
+        rows = {HEALTHY: cases.rows(HEALTHY)}
+        (draws,) = training_set(cases, sensing, watched_levels(first), Learning(rows=1), rows=rows).hypotheses
+        both = np.hstack([sizes @ parts.T if load else sizes, numbers])
+        mean, error = regress(draws.features, both, shown)
     if load:
         back = np.linalg.inv(parts)
         load = replace(load, mean=back @ mean[:2], covariance=back @ np.diag(error[:2] ** 2) @ back.T, wider=1.0)
     return load, ToldNumbers(paths, mean[len(of_load) :], error[len(of_load) :], logarithmic)
 
 
-def _alike(in_order: Sequence[PreparedMeasurement], catalogue: Catalogue) -> list[PreparedMeasurement]:
-    """Recordings by the sensors, in the bands and at the stored speed of the first one."""
+def _shown(in_order: Sequence[PreparedMeasurement]) -> tuple[Sensing, FloatArray]:
+    """How recordings like the first one see cases, by the loudest noise and the shortest length; their mean features.
 
-    def seen(each: PreparedMeasurement) -> tuple[object, ...]:
-        return (*view_of(each), each.cuts, catalogue.matrix.nearest_speed(each.drive_speed))
-
-    return [each for each in in_order if seen(each) == seen(in_order[0])]
+    Those by its sensors, in its bands and at its speed.
+    """
+    first = in_order[0]
+    alike = [
+        each
+        for each in in_order
+        if (view_of(each), each.cuts) == (view_of(first), first.cuts)
+        and abs(each.drive_speed / first.drive_speed - 1.0) < SAME_SPEED
+    ]
+    every = [exact_sensing(each) for each in alike]
+    sensing = replace(
+        every[0],
+        noise=np.max([each.noise for each in every], axis=0),
+        degrees_of_freedom=np.min([each.degrees_of_freedom for each in every], axis=0),
+    )
+    return sensing, np.mean([features_of(each, sensing) for each in alike], axis=0)
 
 
 def regress(features: FloatArray, numbers: FloatArray, shown: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return numbers (p,) of what shows features (d,), and their errors, by cases of both, (n, d) and (n, p).
 
     Kernel ridge regression on principal components; width and penalty are those of the least error where one case is
-    left out, for every number (B. Schölkopf, A. Smola, Learning with Kernels (2002), 4).
+    left out, for every number. Away from all cases the error grows to the scatter of the number (C. E. Rasmussen,
+    C. K. I. Williams, Gaussian Processes for Machine Learning (2006), 2.2 and 5.4.2).
     """
     middle, scale = features.mean(axis=0), features.std(axis=0) + 1e-9
     away, here = (features - middle) / scale, np.clip((shown - middle) / scale, -FARTHEST, FARTHEST)
@@ -110,14 +129,19 @@ def regress(features: FloatArray, numbers: FloatArray, shown: FloatArray) -> tup
     mean, spread = numbers.mean(axis=0), numbers.std(axis=0) + 1e-300
     known = (numbers - mean) / spread
     found, errors = np.zeros(len(mean)), np.full(len(mean), np.inf)
+    beyond = np.zeros(len(mean))
     for width in WIDTHS:
         sizes, ways = np.linalg.eigh(np.exp(-0.5 * apart / width**2))
         sizes, turned = np.maximum(sizes, 0.0), ways.T @ known
         near = np.exp(-0.5 * off / width**2) @ ways
         for ridge in RIDGES:
-            part = sizes / (sizes + ridge)
-            left = (known - (ways * part) @ turned) / (1.0 - np.sum(ways**2 * part, axis=1))[:, None]
+            inverse = np.sum(ways**2 / (sizes + ridge), axis=1)
+            left = (ways / (sizes + ridge)) @ turned / inverse[:, None]
             error = np.sqrt(np.mean(left**2, axis=0))
             told = (near / (sizes + ridge)) @ turned
-            found, errors = np.where(error < errors, told, found), np.minimum(error, errors)
-    return mean + spread * found, spread * errors
+            # What a Gaussian process knows less of what is shown than of cases that are left out.
+            less = max(0.0, 1.0 - float(np.sum(near**2 / (sizes + ridge))) - float(np.mean(1.0 / inverse - ridge)))
+            better = error < errors
+            found, beyond = np.where(better, told, found), np.where(better, less, beyond)
+            errors = np.minimum(error, errors)
+    return mean + spread * found, spread * np.minimum(1.0, np.sqrt(errors**2 + beyond))
