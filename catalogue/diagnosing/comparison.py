@@ -59,14 +59,19 @@ def beside_past(
     before = [each for each in alike if not each.flaws]
     if not before:
         return None
-    every = [exact_sensing(each) for each in (prepared, *before)]
-    sensing = replace(
+    sensing = common_sensing([prepared, *before])
+    mean: FloatArray = np.mean([features_of(each, sensing) for each in before], axis=0)
+    return replace(sensing, past=True), np.concatenate([features_of(prepared, sensing), mean])
+
+
+def common_sensing(recordings: Sequence[PreparedMeasurement]) -> Sensing:
+    """Return how recordings by the same sensors in the same bands all see entries: the loudest, the shortest."""
+    every = [exact_sensing(each) for each in recordings]
+    return replace(
         every[0],
         noise=np.max([each.noise for each in every], axis=0),
         degrees_of_freedom=np.min([each.degrees_of_freedom for each in every], axis=0),
     )
-    mean: FloatArray = np.mean([features_of(each, sensing) for each in before], axis=0)
-    return replace(sensing, past=True), np.concatenate([features_of(prepared, sensing), mean])
 
 
 def view_of(prepared: PreparedMeasurement) -> tuple[object, ...]:

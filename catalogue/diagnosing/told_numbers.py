@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from jointplay.catalogue.diagnosing.comparison import exact_sensing, features_of, view_of, watched_levels
+from jointplay.catalogue.diagnosing.comparison import common_sensing, features_of, view_of, watched_levels
 from jointplay.catalogue.diagnosing.found_cases import ToldNumbers, draw_cases, simulate_cases
 from jointplay.catalogue.diagnosing.stroke_loads import COMMON, DIFFERENCE, FoundLoad, find_load
 from jointplay.catalogue.matching.learning import Learning, training_set
@@ -102,12 +102,7 @@ def _shown(in_order: Sequence[PreparedMeasurement]) -> tuple[Sensing, FloatArray
         if (view_of(each), each.cuts) == (view_of(first), first.cuts)
         and abs(each.drive_speed / first.drive_speed - 1.0) < SAME_SPEED
     ]
-    every = [exact_sensing(each) for each in alike]
-    sensing = replace(
-        every[0],
-        noise=np.max([each.noise for each in every], axis=0),
-        degrees_of_freedom=np.min([each.degrees_of_freedom for each in every], axis=0),
-    )
+    sensing = common_sensing(alike)
     return sensing, np.mean([features_of(each, sensing) for each in alike], axis=0)
 
 

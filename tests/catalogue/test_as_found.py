@@ -226,7 +226,7 @@ def test_what_the_machine_in_order_has_told_is_simulated(
     small_catalogue: Catalogue, loaded: PreparedMeasurement, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its load and its numbers, where the recording is doubted; of one that can be as filed nothing is asked."""
-    _, result = asked(small_catalogue, loaded)
+    observed, result = asked(small_catalogue, loaded)
     load = find_load(small_catalogue, of_likely(loaded, result), small_catalogue.recipe.nominal_drive_speed)
     assert load is not None
     load = replace(load, mean=np.array([-50.0, 20.0]))
@@ -239,17 +239,14 @@ def test_what_the_machine_in_order_has_told_is_simulated(
         return simulate_cases(catalogue, machine, cases)
 
     monkeypatch.setattr(as_found, "simulate_cases", simulate)
-    observed, result = asked(small_catalogue, loaded)
     vague = replace(result, trusted_p_value=1e-4)
     found = refine(loaded, observed, small_catalogue, vague, ["A", "B"], tell=lambda: (load, told), cases=1)
     assert "loads of -50 and 20 N" in found.reason
     assert {round(entry.parameters[path], 1) for entry in simulated} == {7.5}
     simulated.clear()
-    certain = replace(result, trusted_p_value=1.0)
-    assert (
-        "loads"
-        not in refine(loaded, observed, small_catalogue, certain, ["A", "B"], tell=lambda: (load, told), cases=1).reason
-    )
+    sure = replace(result, trusted_p_value=1.0)
+    as_filed = refine(loaded, observed, small_catalogue, sure, ["A", "B"], tell=lambda: pytest.fail("asked"), cases=1)
+    assert "loads" not in as_filed.reason
     assert len({entry.parameters[path] for entry in simulated}) > 10
 
 
