@@ -132,6 +132,11 @@ def no_sound_joint(item: Judged) -> bool:
     return item.verdict != "worn" or item.named(0) <= item.worn
 
 
+def all_worn_named(item: Judged) -> bool:
+    """Every worn joint is named, others besides or not."""
+    return item.verdict == "worn" and item.worn <= item.named(0)
+
+
 def within_two(item: Judged) -> bool:
     """The worn joints are the first or the second hypothesis."""
     return item.verdict == "worn" and item.worn in (item.named(0), item.named(1))
@@ -183,7 +188,8 @@ RULES: Mapping[str, Sequence[tuple[str, Rule]]] = {
     "sensor-flaws": (("named", flaw_named), ("no wrong joint", no_sound_joint)),
     "drop-outs": (("right, or not answered", lambda item: worn_or_unknown(item) if item.worn else never_worn(item)),),
     "model-errors": (("exactly right", lambda item: item.exact), ("no sound joint named", no_sound_joint)),
-    "held-shut": (("exactly right", lambda item: item.exact), ("no sound joint named", no_sound_joint)),
+    "held-shut": (("all worn joints seen", all_worn_named), ("exactly right", lambda item: item.exact),
+                  ("no sound joint named", no_sound_joint)),
     "growing": (("exactly right", lambda item: item.exact), ("no sound joint named", no_sound_joint)),
 }  # fmt: skip
 
@@ -221,8 +227,7 @@ def first_seen(found: Sequence[Judged]) -> dict[str, float]:
     for item in found:
         if item.protocol == "growing":
             name = f"{item.truth['machine']} {item.truth['series']['number']}"
-            is_seen = item.verdict == "worn" and item.worn <= item.named(0)
-            series[name].append((sum(item.truth["worn_um"].values()), is_seen))
+            series[name].append((sum(item.truth["worn_um"].values()), all_worn_named(item)))
     return {
         name: min(
             (um for um, _ in itertools.takewhile(lambda each: each[1], sorted(each, reverse=True))), default=math.inf

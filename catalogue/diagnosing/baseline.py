@@ -194,7 +194,7 @@ def _answer(name: str, levels: OrderLevels, model: HealthyMachine, fit: Baseline
     warnings = []
     if fit.p_after < UNEXPLAINED:
         warnings.append(
-            f"baseline {name}: no healthy machine explains it (p {fit.p_after:.2g}): no number or gain of it was used"
+            f"baseline {name}: no healthy machine explains it (p {fit.p_after:.2g}): what was fitted to it was not used"
         )
     else:
         for what, group, least in (("", numbers, NOTEWORTHY), ("gain of ", gains, NOTEWORTHY_GAIN)):

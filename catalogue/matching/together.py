@@ -3,7 +3,9 @@
 The likelihood of a state - which joints are worn, with which clearances - is the product of what each recording says of
 it, tempered: sensors, mounts and all that the model does not know are the same in every recording of a machine, so that
 a second one does not say as much again. Recordings that are alike count for less together than apart, as measurements
-with correlated errors do.
+with correlated errors do. Where each is heard beside the machine's own past, what all have wrong alike cancels, as far
+as it is asked which joints are worn: a recording at another speed then tells that anew. How much they are worn by, it
+does not.
 """
 
 from __future__ import annotations
@@ -11,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
@@ -20,6 +23,10 @@ from jointplay.solver.arrays import BoolArray, FloatArray, IntArray
 
 ALIKE_AT_ONE_SPEED, ALIKE = 0.7, 0.4
 """Correlation of what two recordings of a machine have wrong, at one stored speed and at two."""
+
+ALIKE_AT_ONE_SPEED_BESIDE_PAST, ALIKE_BESIDE_PAST = 0.3, 0.0
+"""The same of what they say of which joints are worn, where each was heard beside recordings of the machine in order:
+what the machine and its sensors have wrong was in these, too (docs/decisions/0206)."""
 
 SLIP = 1e-3
 """Share of recordings that say nothing of the machine, whatever they look like: none rules a state out alone."""
@@ -45,6 +52,12 @@ class Likeness:
     at_one_speed: float = ALIKE_AT_ONE_SPEED
     apart: float = ALIKE
 
+    @classmethod
+    def of_sets(cls, results: Sequence[MatchResult]) -> Self:
+        """That of what recordings say of which joints are worn."""
+        beside = all(each.beside for each in results)
+        return cls(ALIKE_AT_ONE_SPEED_BESIDE_PAST, ALIKE_BESIDE_PAST) if beside else cls()
+
     def weights(self, speeds: Sequence[float]) -> FloatArray:
         """Return what each recording counts (n,), by its stored speed; one alone counts 1.
 
@@ -69,7 +82,7 @@ class Together:
     result : MatchResult
         The common answer.
     weights : ndarray, shape (n,)
-        What each recording counts for the most probable hypothesis.
+        What each recording counts for which hypothesis is the most probable one.
     for_one_machine : ndarray, shape (n,)
         How much likelier each recording is as one of the machine of all others than of any other, ln.
     without : tuple of (str, float)
@@ -96,25 +109,28 @@ def match_together(
     speeds : sequence of float
         Stored speed that each was matched at.
     likeness : Likeness, optional
+        Of what they say of hypotheses and of clearances; as measured unless given.
     """
     if len(results) == 1:
         return Together(results[0], np.ones(1), np.zeros(1), (("", 0.0),))
-    said = _Said.of(results, prior, speeds, likeness or Likeness())
+    alike = (likeness, likeness) if likeness else (Likeness.of_sets(results), Likeness())
+    said = _Said.of(results, prior, speeds, alike)
     everyone = np.arange(len(results))
     without, for_one = [], []
     for i in everyone:
         others = np.delete(everyone, i)
         of_others = said.weights(others)
         rest, rest_total = said.weigh(others, of_others)
-        _, own_total = said.weigh(np.array([i]), np.ones_like(of_others[:1]))
-        _, total = said.weigh(np.append(others, i), np.vstack([of_others, np.ones_like(of_others[:1])]))
+        once = np.ones_like(of_others[:, :1])
+        _, own_total = said.weigh(np.array([i]), once)
+        _, total = said.weigh(np.append(others, i), np.concatenate([of_others, once], axis=1))
         lead = int(rest.argmax())
         without.append((results[0].hypotheses[lead].label, float(rest[lead])))
         for_one.append(total - rest_total - own_total)
     weights = said.weights(everyone)
     probability, _ = said.weigh(everyone, weights)
-    best = weights[:, int(probability.argmax())]
-    return Together(said.join(weights, probability), best, np.array(for_one), tuple(without))
+    best = weights[0, :, int(probability.argmax())]
+    return Together(said.join(weights[1], probability), best, np.array(for_one), tuple(without))
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +149,8 @@ class _Said:
         Of each hypothesis as it is seen; where that does not fit, of that look that does best, if no joint is then held
         shut in all recordings.
     speeds : sequence of float
-    likeness : Likeness
+    alike : (Likeness, Likeness)
+        Of what they say of hypotheses, and of clearances.
     """
 
     results: Sequence[MatchResult]
@@ -143,11 +160,15 @@ class _Said:
     as_seen: Sequence[Sequence[HypothesisMatch]]
     p_values: FloatArray
     speeds: Sequence[float]
-    likeness: Likeness
+    alike: tuple[Likeness, Likeness]
 
     @classmethod
     def of(
-        cls, results: Sequence[MatchResult], prior: FloatArray, speeds: Sequence[float], likeness: Likeness
+        cls,
+        results: Sequence[MatchResult],
+        prior: FloatArray,
+        speeds: Sequence[float],
+        alike: tuple[Likeness, Likeness],
     ) -> _Said:
         first = results[0].hypotheses
         matches = [{match.label: match for match in result.hypotheses} for result in results]
@@ -177,7 +198,7 @@ class _Said:
         p_values = np.take_along_axis(fits, looks, axis=1)
         own = np.arange(len(sets))
         evidence = np.log(np.take_along_axis(likely, seen, axis=1) * held[own, seen])
-        return cls(results, np.log(share), evidence, densities, as_seen, p_values, speeds, likeness)
+        return cls(results, np.log(share), evidence, densities, as_seen, p_values, speeds, alike)
 
     def showing(self, h: int) -> BoolArray:
         """Which recordings (n,) show a hypothesis: not those in which a load holds all of its joints shut."""
@@ -185,28 +206,30 @@ class _Said:
         return np.array([bool(row[h].joints) == worn for row in self.as_seen])
 
     def weights(self, chosen: IntArray) -> FloatArray:
-        """What each of some recordings counts for each hypothesis (m, h).
+        """What each of some recordings counts for each hypothesis, and for its clearances, (2, m, h).
 
         Those that show it have the same wrong; what a load holds shut in others is hidden by the load.
         """
-        found = np.zeros((len(chosen), len(self.log_prior)))
-        for h in range(found.shape[1]):
+        found = np.zeros((2, len(chosen), len(self.log_prior)))
+        for h in range(found.shape[2]):
             showing = self.showing(h)[chosen]
-            for alike in (np.flatnonzero(showing), np.flatnonzero(~showing)):
-                found[alike, h] = self.likeness.weights([self.speeds[n] for n in chosen[alike].tolist()])
+            for part in (np.flatnonzero(showing), np.flatnonzero(~showing)):
+                speeds = [self.speeds[n] for n in chosen[part].tolist()]
+                found[:, part, h] = [likeness.weights(speeds) for likeness in self.alike]
         return found
 
     def weigh(self, chosen: IntArray, weights: FloatArray) -> tuple[FloatArray, float]:
         """Probabilities (h,) by some recordings, and ln of how much likelier they are together than by chance."""
-        log_weight = self.log_prior + np.sum(weights * self.evidence[chosen], axis=0)
+        of_sets, of_clearances = weights
+        log_weight = self.log_prior + np.sum(of_sets * self.evidence[chosen], axis=0)
         for h, joints in enumerate(self.densities):
             for _, before, ratio in joints:
-                log_weight[h] += float(log_sum_exp(np.log(before) + weights[:, h] @ ratio[chosen]))
+                log_weight[h] += float(log_sum_exp(np.log(before) + of_clearances[:, h] @ ratio[chosen]))
         total = float(log_sum_exp(log_weight))
         return np.exp(log_weight - total), total
 
     def join(self, weights: FloatArray, probability: FloatArray) -> MatchResult:
-        """The answer of all recordings, given what each counts (n, h) and what is probable then (h,)."""
+        """The answer of all recordings, by what each counts for clearances (n, h), and what is probable then (h,)."""
         results, first = self.results, self.results[0]
         matches = []
         for h, (match, joints, share) in enumerate(

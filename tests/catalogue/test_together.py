@@ -161,6 +161,23 @@ def test_a_common_answer_has_heard_the_past_if_all_recordings_were() -> None:
         assert match_together(results, PRIOR, [1.0, 1.2]).result.beside is all(heard)
 
 
+def test_beside_the_past_what_is_worn_is_told_anew_and_how_much_is_not() -> None:
+    """At another speed the odds of the joints multiply; at the same one they do in part, as any do without the past."""
+    one = said((0.2, 0.5, 0.3), (150, 150))
+    odds = (0.5 / 0.4) / (0.3 / 0.35)
+    widths = []
+    for beside, speed, counts in ((True, 1.2, 2.0), (True, 1.0, 2.0 / 1.3), (False, 1.2, 2.0 / 1.4)):
+        both = match_together([replace(one, beside=beside)] * 2, PRIOR, [1.0, speed])
+        assert both.weights == pytest.approx([0.5 * counts] * 2)
+        found = both.result.probability("A") / both.result.probability("B")
+        assert found == pytest.approx(odds**counts * 0.4 / 0.35, rel=0.01)
+        (clearance,) = next(match for match in both.result.hypotheses if match.label == "A").clearances
+        widths.append(math.log(clearance.high / clearance.low))
+    # As of measurements whose errors have the correlations 0.4, 0.7 and 0.4.
+    expected = [2 * 1.645 * 0.2 * math.sqrt(0.5 * (1.0 + alike)) for alike in (0.4, 0.7, 0.4)]
+    assert widths == pytest.approx(expected, rel=0.02)
+
+
 def recording(number: int) -> Recording:
     return read_measurement(RECORDINGS / f"slider-crank-{number:02}.csv.gz")
 
