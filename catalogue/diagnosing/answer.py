@@ -268,7 +268,8 @@ class RecordingShare(Frozen):
     verdict : Verdict
         By this recording alone.
     weight : float
-        What it counts: 1 alone, less beside others, which have the same wrong; 0 where it was left out.
+        What it counts for which joints are worn: 1 alone, less beside others as far as they have the same wrong; 0
+        where it was left out.
     without, p_without : str, float
         Most probable hypothesis by all others that count, and its probability; empty and 0 where there are none.
     one_machine : float

@@ -116,18 +116,16 @@ def hear(
             verdict = verdict if verdict == "worn" and other.p_worn >= SURE_ABOVE else "changed"
     spent = EffortSpent(simulations=0, generations=0, note="")
     if question.effort == "thorough" and library.simulates_anew:
-        is_loaded = bool(causes) and causes[0].name.startswith("load")
         if prepared.flaws:
             spent = EffortSpent(simulations=0, generations=0, note="the sensors contradict each other")
-        elif causes and not is_loaded and (known is None or causes[0].since or not needs_cause(result)):
+        elif causes and not causes[0].name.startswith("load"):
             spent = EffortSpent(simulations=0, generations=0, note="the machine is not as its file says")
         elif weights is not None:
             note = "the baseline says more of the machine's numbers than its file, which is simulated"
             spent = EffortSpent(simulations=0, generations=0, note=note)
         else:
-            # A load that has come since, the machine in order has not shown; what else is named beside wear it may
-            # have had in order, too little of it to be named there.
-            own = {"tell": partial(known.tell, catalogue)} if known and not is_loaded else {}
+            # A load that has come since, the machine in order has not shown.
+            own = {"tell": partial(known.tell, catalogue)} if known and not causes else {}
             refined = refine(
                 prepared,
                 Observed(sensing, feature, watched_levels(prepared), prepared.drive_speed),

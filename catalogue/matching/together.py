@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Self
 
 import numpy as np
 
@@ -23,10 +22,6 @@ from jointplay.solver.arrays import BoolArray, FloatArray, IntArray
 
 ALIKE_AT_ONE_SPEED, ALIKE = 0.7, 0.4
 """Correlation of what two recordings of a machine have wrong, at one stored speed and at two."""
-
-ALIKE_AT_ONE_SPEED_BESIDE_PAST, ALIKE_BESIDE_PAST = 0.3, 0.0
-"""The same of what they say of which joints are worn, where each was heard beside recordings of the machine in order:
-what the machine and its sensors have wrong was in these, too (docs/decisions/0206)."""
 
 SLIP = 1e-3
 """Share of recordings that say nothing of the machine, whatever they look like: none rules a state out alone."""
@@ -52,13 +47,7 @@ class Likeness:
     at_one_speed: float = ALIKE_AT_ONE_SPEED
     apart: float = ALIKE
 
-    @classmethod
-    def of_sets(cls, results: Sequence[MatchResult]) -> Self:
-        """That of what recordings say of which joints are worn."""
-        beside = all(each.beside for each in results)
-        return cls(ALIKE_AT_ONE_SPEED_BESIDE_PAST, ALIKE_BESIDE_PAST) if beside else cls()
-
-    def weights(self, speeds: Sequence[float]) -> FloatArray:
+    def weights(self, speeds: Sequence[float] | FloatArray) -> FloatArray:
         """Return what each recording counts (n,), by its stored speed; one alone counts 1.
 
         Notes
@@ -71,6 +60,11 @@ class Likeness:
         np.fill_diagonal(correlation, 1.0)
         found = np.asarray(np.linalg.solve(correlation, np.ones(len(speeds))), np.float64)
         return found
+
+
+BESIDE_PAST = Likeness(0.3, 0.1)
+"""Of what recordings say of which joints are worn, where they were heard beside those of the machine in order: what
+machine and sensors have wrong was in these, too (docs/decisions/0206)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,8 +107,7 @@ def match_together(
     """
     if len(results) == 1:
         return Together(results[0], np.ones(1), np.zeros(1), (("", 0.0),))
-    alike = (likeness, likeness) if likeness else (Likeness.of_sets(results), Likeness())
-    said = _Said.of(results, prior, speeds, alike)
+    said = _Said.of(results, prior, speeds, (likeness or Likeness(), likeness or BESIDE_PAST))
     everyone = np.arange(len(results))
     without, for_one = [], []
     for i in everyone:
@@ -150,7 +143,7 @@ class _Said:
         shut in all recordings.
     speeds : sequence of float
     alike : (Likeness, Likeness)
-        Of what they say of hypotheses, and of clearances.
+        Of recordings by themselves, and of what those beside the machine's past say of hypotheses.
     """
 
     results: Sequence[MatchResult]
@@ -208,14 +201,18 @@ class _Said:
     def weights(self, chosen: IntArray) -> FloatArray:
         """What each of some recordings counts for each hypothesis, and for its clearances, (2, m, h).
 
-        Those that show it have the same wrong; what a load holds shut in others is hidden by the load.
+        Those that show it have the same wrong; what a load holds shut in others is hidden by the load. And what those
+        beside the past still have wrong is another thing than what the others have.
         """
-        found = np.zeros((2, len(chosen), len(self.log_prior)))
+        found, speeds = np.zeros((2, len(chosen), len(self.log_prior))), np.array(self.speeds)[chosen]
+        beside = np.array([self.results[n].beside for n in chosen.tolist()])
+        usual, since = self.alike
         for h in range(found.shape[2]):
             showing = self.showing(h)[chosen]
-            for part in (np.flatnonzero(showing), np.flatnonzero(~showing)):
-                speeds = [self.speeds[n] for n in chosen[part].tolist()]
-                found[:, part, h] = [likeness.weights(speeds) for likeness in self.alike]
+            for part in (showing, ~showing):
+                found[1, part, h] = usual.weights(speeds[part])
+                for own, likeness in ((part & beside, since), (part & ~beside, usual)):
+                    found[0, own, h] = likeness.weights(speeds[own])
         return found
 
     def weigh(self, chosen: IntArray, weights: FloatArray) -> tuple[FloatArray, float]:

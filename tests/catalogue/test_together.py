@@ -110,8 +110,10 @@ def test_alike_recordings_count_less() -> None:
     assert math.log(clearance.high / clearance.low) == pytest.approx(2 * 1.645 * 0.2, rel=0.05)
 
 
-def test_the_order_does_not_matter() -> None:
+@pytest.mark.parametrize("beside", [False, True])
+def test_the_order_does_not_matter(beside: bool) -> None:
     parts = [said((0.1, 0.6, 0.3), (100, 300)), said((0.2, 0.5, 0.3), (120, 300)), said((0.3, 0.3, 0.4), (90, 500))]
+    parts = [replace(part, beside=beside) for part in parts]
     forth = match_together(parts, PRIOR, [1.0, 1.0, 1.2])
     back = match_together(parts[::-1], PRIOR, [1.2, 1.0, 1.0])
     assert back.weights[::-1] == pytest.approx(forth.weights)
@@ -119,8 +121,10 @@ def test_the_order_does_not_matter() -> None:
         assert back.result.probability(label) == pytest.approx(forth.result.probability(label), rel=1e-9)
 
 
-def test_one_that_contradicts_stands_out() -> None:
-    worn, other = said((0.0, 1.0, 0.0), (200, 200)), said((0.0, 0.0, 1.0), (200, 200))
+@pytest.mark.parametrize("beside", [False, True])
+def test_one_that_contradicts_stands_out(beside: bool) -> None:
+    told = said((0.0, 1.0, 0.0), (200, 200)), said((0.0, 0.0, 1.0), (200, 200))
+    worn, other = (replace(each, beside=beside) for each in told)
     joined = match_together([worn, worn, worn, other], PRIOR, [0.8, 1.0, 1.2, 1.0])
     assert joined.result.best.label == "A"
     assert joined.for_one_machine[3] < math.log(0.05)
@@ -162,11 +166,11 @@ def test_a_common_answer_has_heard_the_past_if_all_recordings_were() -> None:
 
 
 def test_beside_the_past_what_is_worn_is_told_anew_and_how_much_is_not() -> None:
-    """At another speed the odds of the joints multiply; at the same one they do in part, as any do without the past."""
+    """At another speed the odds of the joints nearly multiply, at the same one less, and least without the past."""
     one = said((0.2, 0.5, 0.3), (150, 150))
     odds = (0.5 / 0.4) / (0.3 / 0.35)
     widths = []
-    for beside, speed, counts in ((True, 1.2, 2.0), (True, 1.0, 2.0 / 1.3), (False, 1.2, 2.0 / 1.4)):
+    for beside, speed, counts in ((True, 1.2, 2.0 / 1.1), (True, 1.0, 2.0 / 1.3), (False, 1.2, 2.0 / 1.4)):
         both = match_together([replace(one, beside=beside)] * 2, PRIOR, [1.0, speed])
         assert both.weights == pytest.approx([0.5 * counts] * 2)
         found = both.result.probability("A") / both.result.probability("B")
@@ -176,6 +180,21 @@ def test_beside_the_past_what_is_worn_is_told_anew_and_how_much_is_not() -> None
     # As of measurements whose errors have the correlations 0.4, 0.7 and 0.4.
     expected = [2 * 1.645 * 0.2 * math.sqrt(0.5 * (1.0 + alike)) for alike in (0.4, 0.7, 0.4)]
     assert widths == pytest.approx(expected, rel=0.02)
+
+
+def test_what_is_heard_by_itself_takes_nothing_from_what_is_heard_beside_the_past() -> None:
+    """What those still have wrong is another thing than what these have: either kind counts as if alone."""
+    one = said((0.1, 0.6, 0.3), (100, 300))
+    heard, other = replace(one, beside=True), one
+    for results, speeds, weights in (
+        ((heard, heard, other), [0.8, 1.0, 1.2], [1 / 1.1, 1 / 1.1, 1.0]),
+        ((heard, heard, other), [1.0, 1.0, 1.0], [1 / 1.3, 1 / 1.3, 1.0]),
+        ((other, heard, other), [0.8, 1.0, 1.2], [1 / 1.4, 1.0, 1 / 1.4]),
+    ):
+        both = match_together(results, PRIOR, speeds)
+        assert both.weights == pytest.approx(weights)
+        alone = match_together([other, other], PRIOR, [0.8, 1.2]).result.probability("A")
+        assert both.result.probability("A") > alone
 
 
 def recording(number: int) -> Recording:

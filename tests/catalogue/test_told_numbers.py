@@ -144,9 +144,7 @@ def test_what_is_told_of_a_machine_is_told_once(
 def test_a_doubted_machine_is_asked_for_its_numbers(
     small_catalogue: Catalogue, in_order: PreparedMeasurement, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With effort thorough, where it may have had before what it has; a load that has come since is looked for in the
-    recording, and another cause that has, or of which no recording in order is there, is left at that.
-    """
+    """With effort thorough, where it has had a load before; what has come since is looked for in the recording."""
     told: list[int] = []
 
     def tell(recordings: list[PreparedMeasurement], _: Catalogue) -> tuple[None, None]:
@@ -156,17 +154,12 @@ def test_a_doubted_machine_is_asked_for_its_numbers(
     monkeypatch.setattr(known_machine, "tell_numbers", tell)
     worn = recording_of(small_catalogue, ["B"])
     question = Question(effort="thorough", cases=1)
-    load, ripple = NamedCause("load on one stroke", -80.0, "N", 0.9), NamedCause("ripple, order 6", 1e-3, "rad", 0.9)
-    come_since = replace(ripple, since=True)
-    asked = [((), True, 1), ((replace(load, since=True),), True, 1), ((ripple,), True, 2), ((come_since,), False, 2)]
-    for causes, simulates, count in asked:
+    for causes, count in (((), 1), ((NamedCause("load on one stroke", -80.0, "N", 0.9, since=True),), 1)):
         monkeypatch.setattr(hearing, "find_causes", lambda *_, causes=causes: causes)
         known = KnownMachine.of({"one": in_order}, small_catalogue)
         shown, _ = answer(worn, "0" * 64, small_catalogue, question, known=known)
-        assert (shown.effort_spent.simulations > 0) is simulates
+        assert shown.effort_spent.simulations > 0
         assert len(told) == count
-    monkeypatch.setattr(hearing, "find_causes", lambda *_: (ripple,))
-    assert answer(worn, "0" * 64, small_catalogue, question)[0].effort_spent.simulations == 0
 
 
 def test_nothing_is_told_by_too_few_cases(
