@@ -116,16 +116,18 @@ def hear(
             verdict = verdict if verdict == "worn" and other.p_worn >= SURE_ABOVE else "changed"
     spent = EffortSpent(simulations=0, generations=0, note="")
     if question.effort == "thorough" and library.simulates_anew:
+        is_loaded = bool(causes) and causes[0].name.startswith("load")
         if prepared.flaws:
             spent = EffortSpent(simulations=0, generations=0, note="the sensors contradict each other")
-        elif causes and not causes[0].name.startswith("load"):
+        elif causes and not is_loaded and (known is None or not needs_cause(result) or result.p_worn <= 0.5):
             spent = EffortSpent(simulations=0, generations=0, note="the machine is not as its file says")
         elif weights is not None:
             note = "the baseline says more of the machine's numbers than its file, which is simulated"
             spent = EffortSpent(simulations=0, generations=0, note=note)
         else:
-            # A load that has come since, the machine in order has not shown.
-            own = {"tell": partial(known.tell, catalogue)} if known and not causes else {}
+            # A load that has come since, the machine in order has not shown. What else is named beside wear it may have
+            # had, too little of it to be named: how well that then explains the recording says so.
+            own = {"tell": partial(known.tell, catalogue)} if known and not is_loaded else {}
             refined = refine(
                 prepared,
                 Observed(sensing, feature, watched_levels(prepared), prepared.drive_speed),
@@ -140,7 +142,12 @@ def hear(
             # What a machine has always had, which its file has not, is neither a cause nor a change.
             is_as_it_was = p_since is not None and not is_otherwise
             was_changed, p_before = needs_cause(result) and not is_as_it_was, result.trusted_p_value
-            result, causes = refined.result, (refined.load,) if refined.load and not is_as_it_was else causes
+            was_worn, result = result.p_worn > 0.5, refined.result
+            if is_as_it_was:
+                # Nor is what was looked for beside wear that is none.
+                causes = () if was_worn and result.p_worn <= 0.5 else causes
+            elif refined.load:
+                causes = (refined.load,)
             spent = EffortSpent(simulations=refined.simulations, generations=refined.generations, note=refined.reason)
             if refined.simulations:
                 p_value, verdict = judge(result, question.coverage, causes, p_since=p_since)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from jointplay.catalogue.diagnosing import hearing, known_machine, told_numbers
+from jointplay.catalogue.diagnosing.as_found import Refined
 from jointplay.catalogue.diagnosing.causes import NamedCause
 from jointplay.catalogue.diagnosing.diagnosis import answer
 from jointplay.catalogue.diagnosing.found_cases import DOUBT, ToldNumbers, draw_cases
@@ -18,6 +19,8 @@ from jointplay.catalogue.diagnosing.stroke_loads import COMMON, DIFFERENCE, Stro
 from jointplay.catalogue.diagnosing.told_numbers import regress, tell_numbers
 from jointplay.catalogue.evaluation.protocols import PROTOCOLS, draw_truth
 from jointplay.catalogue.evaluation.recordings import Recordings, recorded
+from jointplay.catalogue.matching.matcher import MatchResult, rank
+from jointplay.catalogue.matching.prior import Prior
 from jointplay.catalogue.plans.entry import HEALTHY, Hypothesis
 from jointplay.catalogue.signals.features import prepare
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
@@ -144,7 +147,7 @@ def test_what_is_told_of_a_machine_is_told_once(
 def test_a_doubted_machine_is_asked_for_its_numbers(
     small_catalogue: Catalogue, in_order: PreparedMeasurement, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With effort thorough, where it has had a load before; what has come since is looked for in the recording."""
+    """With effort thorough, where it may have had before what it has; a load is looked for in the recording."""
     told: list[int] = []
 
     def tell(recordings: list[PreparedMeasurement], _: Catalogue) -> tuple[None, None]:
@@ -154,12 +157,51 @@ def test_a_doubted_machine_is_asked_for_its_numbers(
     monkeypatch.setattr(known_machine, "tell_numbers", tell)
     worn = recording_of(small_catalogue, ["B"])
     question = Question(effort="thorough", cases=1)
-    for causes, count in (((), 1), ((NamedCause("load on one stroke", -80.0, "N", 0.9, since=True),), 1)):
+    load, ripple = NamedCause("load on one stroke", -80.0, "N", 0.9), NamedCause("ripple, order 6", 1e-3, "rad", 0.9)
+    for causes, count in (((), 1), ((load,), 1), ((ripple,), 2)):
         monkeypatch.setattr(hearing, "find_causes", lambda *_, causes=causes: causes)
         known = KnownMachine.of({"one": in_order}, small_catalogue)
         shown, _ = answer(worn, "0" * 64, small_catalogue, question, known=known)
         assert shown.effort_spent.simulations > 0
         assert len(told) == count
+    # Without one in order, or beside no wear, another cause than a load is left at that.
+    never = Prior(worn=0.001, joints=dict.fromkeys("ABO", 0.001))
+    for past, asked in ((None, question), (known, replace(question, prior=never))):
+        shown, _ = answer(worn, "0" * 64, small_catalogue, asked, known=past)
+        assert shown.effort_spent.note == "the machine is not as its file says"
+    assert len(told) == 2
+
+
+@pytest.mark.parametrize(("p_since", "p_worn", "named"), [(0.5, 0.1, 0), (0.5, 0.9, 1), (0.001, 0.1, 1)])
+def test_what_was_looked_for_beside_wear_goes_with_it(
+    small_catalogue: Catalogue,
+    in_order: PreparedMeasurement,
+    monkeypatch: pytest.MonkeyPatch,
+    p_since: float,
+    p_worn: float,
+    named: int,
+) -> None:
+    """Where the machine as found is not worn, and as it was, what its file has wrong is no cause."""
+
+    def refine(_: object, __: object, ___: object, result: MatchResult, *_others: object, **____: object) -> Refined:
+        worn = result.p_worn
+        matches = [
+            replace(each, probability=each.probability * (p_worn / worn if each.joints else (1 - p_worn) / (1 - worn)))
+            for each in result.hypotheses
+        ]
+        return Refined(rank(matches), 1, 1, "simulated")
+
+    compare = hearing.compare_with_past
+    ripple = NamedCause("ripple, order 6", 1e-3, "rad", 0.9)
+    monkeypatch.setattr(hearing, "find_causes", lambda *_: (ripple,))
+    monkeypatch.setattr(hearing, "refine", refine)
+    monkeypatch.setattr(hearing, "compare_with_past", lambda *given: replace(compare(*given), p_value=p_since))
+    known = KnownMachine.of({"one": in_order}, small_catalogue)
+    worn = recording_of(small_catalogue, ["B"])
+    shown, _ = answer(worn, "0" * 64, small_catalogue, Question(effort="thorough"), known=known)
+    assert shown.effort_spent.note == "simulated"
+    assert len(shown.causes) == named
+    assert (shown.verdict == "in_order") is (named == 0)
 
 
 def test_nothing_is_told_by_too_few_cases(
