@@ -332,7 +332,7 @@ def test_an_extra_that_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> N
     for name, library in (("r.xlsx", "python_calamine"), ("r.parquet", "pyarrow")):
         monkeypatch.setitem(sys.modules, library, None)
         with pytest.raises(MeasurementError, match=rf"{library.replace('_', '-')}.*pip install 'jointplay\[tables\]'"):
-            tables.library(library, name)
+            tables.import_extra(library, name)
 
 
 def test_endings_for_content_without_a_name(signal: FloatArray, tmp_path: Path) -> None:

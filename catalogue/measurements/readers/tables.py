@@ -22,7 +22,7 @@ from jointplay.solver.arrays import FloatArray
 EXTRA = "pip install 'jointplay[tables]'"
 
 
-def library(name: str, source: str) -> Any:
+def import_extra(name: str, source: str) -> Any:
     """Return a module of the extra.
 
     Raises
@@ -42,7 +42,7 @@ def read_xlsx(data: bytes, source: str, limits: Limits) -> RawRecording:
 
     A sheet is read as the text that a spreadsheet would write of it, so all that holds of tables of text holds here.
     """
-    calamine = library("python_calamine", source)
+    calamine = import_extra("python_calamine", source)
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as packed:
             unpacked = sum(member.file_size for member in packed.infolist())
@@ -87,7 +87,7 @@ def _cell(value: object) -> str:
 
 def read_parquet(data: bytes, source: str, limits: Limits) -> RawRecording:
     """Read the numbers and times of a Parquet file; see `readers.raw.Reader`."""
-    arrow, parquet = library("pyarrow", source), library("pyarrow.parquet", source)
+    arrow, parquet = import_extra("pyarrow", source), import_extra("pyarrow.parquet", source)
     try:
         file = parquet.ParquetFile(arrow.BufferReader(data))
         _check_size(file.metadata.num_rows * file.metadata.num_columns, source, limits)
@@ -98,7 +98,7 @@ def read_parquet(data: bytes, source: str, limits: Limits) -> RawRecording:
 
 def read_arrow(data: bytes, source: str, limits: Limits) -> RawRecording:
     """Read the numbers and times of an Arrow file (Feather, version 2); see `readers.raw.Reader`."""
-    arrow = library("pyarrow", source)
+    arrow = import_extra("pyarrow", source)
     try:
         with arrow.ipc.open_file(arrow.BufferReader(data)) as file:
             table = arrow.Table.from_batches(
