@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 from collections.abc import Iterator
 from concurrent.futures import CancelledError, Future
 from pathlib import Path
@@ -92,10 +93,13 @@ def spoil(chunk: Chunk) -> Any:
 def test_result_that_never_arrives_whole_ends_the_build(tmp_path: Path, scheduler: str) -> None:
     """It is no fault of the connection: begun again without a limit, the build would never end."""
     workers = DaskCluster(scheduler, wait=300)
-    rule = f"nothing could be computed in {HOPELESS} attempts, the last: ArithmeticError: cannot be unpacked"
-    with pytest.raises(BuildError, match=rule):
+    rule = r"nothing could be computed in (\d+) attempts, the last: ArithmeticError: cannot be unpacked"
+    with pytest.raises(BuildError, match=rule) as raised:
         quick_build(tmp_path, executor=workers, compute=spoil)
     workers.close()
+    attempts = re.match(rule, str(raised.value))
+    # Beside parts without a case in common, halves of a chunk fail: how many before the last, the order of answers says.
+    assert attempts and int(attempts[1]) >= HOPELESS
 
 
 @pytest.mark.parametrize(
