@@ -76,7 +76,7 @@ class Refined:
     reason : str
         What was done, or why nothing was, in words.
     load : NamedCause, optional
-        That the machine as found has, where it explains the recording.
+        Found in the recording, where the machine with it explains that. One that it had when it was in order is none.
     """
 
     result: MatchResult
@@ -134,8 +134,9 @@ def refine(
     if len(chosen) < 2:
         return Refined(result, 0, 0, "only one hypothesis is probable at all")
     speed = math.copysign(prepared.drive_speed, catalogue.recipe.nominal_drive_speed)
-    load, numbers = tell() if is_doubted else (None, None)
-    if is_doubted and load is None:
+    own, numbers = tell() if is_doubted else (None, None)
+    load = own
+    if is_doubted and own is None:
         with one_thread():
             shown = [(prepared, match.label, match.probability) for match in result.hypotheses[:3]]
             load = find_load(catalogue, shown, speed)
@@ -189,7 +190,7 @@ def refine(
     ]
     refined = _blend(result, replace(found, hypotheses=rank(again).hypotheses), every, len(drawn), load)
     told = f"; numbers by {CASES} cases of the machine in order" if numbers else ""
-    return replace(refined, reason=refined.reason + told)
+    return replace(refined, reason=refined.reason + told, load=None if own else refined.load)
 
 
 def networks_of(spectra: FoundSpectra, observed: Observed) -> NetworkShelf:
@@ -315,7 +316,7 @@ def _blend(
     p_value = found.p_value if found.trusted_p_value is None else found.trusted_p_value
     trust = weight_as_filed(p_value) * near / (1.0 + near)
     cause = None if load is None else load.cause(trust)
-    share = UNTOLD_SHARE if result.beside and cause is None else FOUND_SHARE
+    share = UNTOLD_SHARE if result.beside and load is None else FOUND_SHARE
     before = {match.label: match.probability for match in result.hypotheses}
     total = sum(before[match.label] for match in found.hypotheses)
     pooled = {

@@ -242,6 +242,7 @@ def test_what_the_machine_in_order_has_told_is_simulated(
     vague = replace(result, trusted_p_value=1e-4)
     found = refine(loaded, observed, small_catalogue, vague, ["A", "B"], tell=lambda: (load, told), cases=1)
     assert "loads of -50 and 20 N" in found.reason
+    assert found.load is None  # it is no cause of what has changed since
     assert {round(entry.parameters[path], 1) for entry in simulated} == {7.5}
     simulated.clear()
     sure = replace(result, trusted_p_value=1.0)
