@@ -1,11 +1,11 @@
 """How often promises of suggestions come true: a recording at another speed, and what both together then say.
 
     python -m second_simulator --protocol pairs --machine slider-crank --count 8 --out recordings [--factor 0.8]
-    python -m benchmarks.promises recordings --catalogues DIR
+    python -m benchmarks.promises recordings --catalogues DIR [--before DIR]
 
 Every recording of a machine that has some at several speeds is answered by itself; for each speed that it suggests, of
 which there is a recording, the promise (share of mistakes) is compared with whether the common answer names the worn
-joints, and with how probable that answer holds them.
+joints, and with how probable that answer holds them. Recordings from before, of the same names, serve as baselines.
 """
 
 from __future__ import annotations
@@ -21,15 +21,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.real_machines import interval
+from benchmarks.real_machines import interval, recorded_before
 from jointplay.app.tables import table
 from jointplay.catalogue.diagnosing.hearing import Heard, hear
+from jointplay.catalogue.diagnosing.known_machine import KnownMachine
 from jointplay.catalogue.diagnosing.question import Question
 from jointplay.catalogue.diagnosing.telling import tell
 from jointplay.catalogue.diagnosing.together import conclude
 from jointplay.catalogue.matching.model_library import library_of
-from jointplay.catalogue.measurements.measured_spectrum import read_recording
+from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum, read_recording
+from jointplay.catalogue.measurements.measurement import Recording, read_measurement
 from jointplay.catalogue.signals.features import prepare
+from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.storage.store import Catalogue
 
 QUESTION = Question()
@@ -49,8 +52,8 @@ class Promise(NamedTuple):
     right: bool
 
 
-def promises(folder: Path, catalogues: Path) -> list[Promise]:
-    """Ask each recording for another speed, and take it."""
+def promises(folder: Path, catalogues: Path, before: Path | None = None) -> list[Promise]:
+    """Ask each recording for another speed, and take it; beside what was recorded before."""
     opened: dict[str, Catalogue] = {}
     found = []
     for truth_file in sorted(folder.rglob("truth.json")):
@@ -63,7 +66,10 @@ def promises(folder: Path, catalogues: Path) -> list[Promise]:
             worn = frozenset(truths[names[0]]["worn_um"])
             machine = truths[names[0]]["machine"]
             catalogue = opened.setdefault(machine, Catalogue.open(catalogues / machine))
-            heard = {name: _heard(truth_file.with_name(f"{name}.npz"), catalogue) for name in names}
+            earlier = [] if before is None else [recorded_before(before, f"{name}.npz") for name in names]
+            past = {each.sha256: prepared_of(each, catalogue) for each in map(read_measurement, earlier)}
+            known = KnownMachine.of(past, catalogue) if past else None
+            heard = {name: _heard(truth_file.with_name(f"{name}.npz"), catalogue, known) for name in names}
             for name, other in itertools.permutations(names, 2):
                 alone = tell(heard[name], catalogue, QUESTION, library_of(catalogue), suggesting=True)
                 rpm = truths[other]["speed_rpm"]
@@ -81,11 +87,16 @@ def promises(folder: Path, catalogues: Path) -> list[Promise]:
     return found
 
 
-def _heard(file: Path, catalogue: Catalogue) -> Heard:
-    recording = read_recording(file)
+def prepared_of(recording: Recording | MeasuredSpectrum, catalogue: Catalogue) -> PreparedMeasurement:
+    """Prepare a recording for a catalogue of its machine."""
     scale = (catalogue.scheme, catalogue.recipe.nominal_drive_speed, catalogue.drive_speeds)
-    prepared = prepare(recording, catalogue.machine, None, None, *scale)
-    return hear(prepared, recording.sha256, catalogue, QUESTION, library_of(catalogue))
+    return prepare(recording, catalogue.machine, None, None, *scale)
+
+
+def _heard(file: Path, catalogue: Catalogue, known: KnownMachine | None) -> Heard:
+    recording = read_recording(file)
+    library = library_of(catalogue)
+    return hear(prepared_of(recording, catalogue), recording.sha256, catalogue, QUESTION, library, known=known)
 
 
 def near_to(what: str, rpm: float) -> bool:
@@ -98,8 +109,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("recordings", type=Path)
     parser.add_argument("--catalogues", type=Path, required=True, help="folder with one catalogue a machine")
+    parser.add_argument("--before", type=Path, help="recordings of the same names from before, as baselines")
     given = parser.parse_args()
-    found = promises(given.recordings, given.catalogues)
+    found = promises(given.recordings, given.catalogues, given.before)
     rows = []
     for low, high in [*itertools.pairwise(CLASSES), (0.0, 1.0)]:
         inside = [each for each in found if low < each.promised <= high]

@@ -89,7 +89,7 @@ def judge(
             machine = truth["machine"]
             protocol = truth.get("of", name).removeprefix(f"{machine}-").rpartition("-")[0]
             catalogue = opened.setdefault(machine, Catalogue.open(catalogues / machine))
-            earlier = [] if before is None else [_before(before, file.name) for file, _ in recorded]
+            earlier = [] if before is None else [recorded_before(before, file.name) for file, _ in recorded]
             baseline = [read_measurement(file) for file in earlier] or None
             try:
                 recordings = [read_recording(file) for file, _ in recorded]
@@ -101,7 +101,7 @@ def judge(
             yield Judged(name, protocol, truth, content)
 
 
-def _before(folder: Path, name: str) -> Path:
+def recorded_before(folder: Path, name: str) -> Path:
     """Return the recording of that name from before; ends the program where there is none."""
     found = next(folder.rglob(name), None)
     if found is None:

@@ -98,7 +98,7 @@ def test_result_that_never_arrives_whole_ends_the_build(tmp_path: Path, schedule
         quick_build(tmp_path, executor=workers, compute=spoil)
     workers.close()
     attempts = re.match(rule, str(raised.value))
-    # Beside parts without a case in common, halves of a chunk fail: how many before the last, the order of answers says.
+    # Beside parts without a case in common, halves of a chunk fail: how many, the order of answers says.
     assert attempts and int(attempts[1]) >= HOPELESS
 
 
