@@ -198,6 +198,7 @@ def test_a_table_that_cannot_be_is_refused_before(
     assert not (tmp_path / "table.csv").exists()
 
 
+@pytest.mark.long
 def test_evaluate_prints_figures_and_confusion(shelf: Path, tmp_path: Path) -> None:
     arguments = [
         "evaluate",

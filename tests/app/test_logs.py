@@ -149,6 +149,7 @@ def receiver() -> Any:
     thread.join(10)
 
 
+@pytest.mark.long
 def test_a_whole_service_logs_json_and_no_secret(
     tmp_path: Path, shelf: Path, worn: bytes, receiver: tuple[int, threading.Event]
 ) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import io
 import re
@@ -295,8 +296,11 @@ def test_a_spectrogram_that_is_shown_whole_again_is_the_whole_one(visit: Visit, 
     expect(place).to_have_attribute("data-points", re.compile(r"\d"), timeout=SECONDS)
     assert page.evaluate(shown)[2] != whole[2]
     place.evaluate("each => delete each.dataset.points")
-    place.locator(".u-over").dblclick()
-    expect(place).to_have_attribute("data-points", re.compile(r"\d"), timeout=SECONDS)
+    for _ in range(4):  # a browser that was kept waiting has lost a double click: a person makes another one
+        place.locator(".u-over").dblclick()
+        with contextlib.suppress(AssertionError):
+            expect(place).to_have_attribute("data-points", re.compile(r"\d"), timeout=SECONDS / 4)
+            break
     assert page.evaluate(shown) == whole
 
 

@@ -59,6 +59,7 @@ def folder(tmp_path: Path, shelf: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.long
 def test_what_runs_is_answered_and_streams_end(folder: Path, worn: bytes) -> None:
     with service_process(folder, builds="0", log_level="debug") as running, client_of(running) as client:
         place = client.post(f"{API}/builds", json=BUILD).headers["location"]
@@ -78,6 +79,7 @@ def test_what_runs_is_answered_and_streams_end(folder: Path, worn: bytes) -> Non
     assert not psutil.pid_exists(worker.pid)
 
 
+@pytest.mark.long
 def test_what_takes_longer_than_the_limit_is_told(folder: Path, worn: bytes) -> None:
     with (
         service_process(folder, builds="0", log_level="debug", stop_limit_s="1") as running,
@@ -93,6 +95,7 @@ def test_what_takes_longer_than_the_limit_is_told(folder: Path, worn: bytes) -> 
     assert not psutil.pid_exists(worker.pid)
 
 
+@pytest.mark.long
 def test_a_build_is_given_back(folder: Path) -> None:
     with service_process(folder) as running, client_of(running) as client:
         place = client.post(f"{API}/builds", json=BUILD).headers["location"]

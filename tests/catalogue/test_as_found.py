@@ -166,6 +166,7 @@ def test_a_network_that_has_learned_the_cases_knows_more_than_curves(
     assert losses[1] < losses[0]  # 0.29 and 0.22 where it was measured
 
 
+@pytest.mark.long
 def test_the_same_question_has_the_same_answer(
     small_catalogue: Catalogue, loaded: PreparedMeasurement, found: Refined
 ) -> None:
@@ -175,6 +176,7 @@ def test_the_same_question_has_the_same_answer(
         assert (one.probability, one.clearances) == (two.probability, two.clearances)
 
 
+@pytest.mark.long
 def test_a_machine_that_does_not_explain_the_recording_says_little(
     small_catalogue: Catalogue, loaded: PreparedMeasurement, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -190,6 +192,7 @@ def test_a_machine_that_does_not_explain_the_recording_says_little(
         assert match.probability == pytest.approx(own[match.label].probability, abs=0.1)
 
 
+@pytest.mark.long
 def test_candidate_sets_are_by_the_law_of_the_catalogue(
     small_catalogue: Catalogue, loaded: PreparedMeasurement
 ) -> None:
@@ -202,6 +205,7 @@ def test_candidate_sets_are_by_the_law_of_the_catalogue(
     assert found.result.beside
 
 
+@pytest.mark.long
 def test_without_a_load_the_machines_own_past_says_more(
     small_catalogue: Catalogue, monkeypatch: pytest.MonkeyPatch
 ) -> None:

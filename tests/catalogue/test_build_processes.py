@@ -131,6 +131,7 @@ def test_builder_and_workers_killed_at_random_moments(tmp_path: Path) -> None:
         assert builder.communicate()[0].splitlines()[-1].startswith("added 0 ")
 
 
+@pytest.mark.long
 def test_case_that_kills_its_worker_is_found_and_the_others_are_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -144,6 +145,7 @@ def test_case_that_kills_its_worker_is_found_and_the_others_are_kept(
     assert report.added == len(KEYS) - 1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("moment", [0.0, 3.0])  # s: while workers start, and when they compute
 @pytest.mark.usefixtures("ctrl_c")
 def test_interrupt_of_the_builder_ends_workers_at_once(tmp_path: Path, moment: float) -> None:

@@ -57,6 +57,7 @@ def catalogue(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathF
     return Catalogue.open(folder)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("effort", ["fast", "standard", "thorough"])
 def test_a_worn_machine_is_found(catalogue: Catalogue, effort: Any) -> None:
     machine = catalogue.machine

@@ -104,6 +104,7 @@ def test_a_foreign_cause_has_smaller_p_values_than_what_is_listed(small_catalogu
     assert row.figures.auroc_deciding is not None
 
 
+@pytest.mark.long
 def test_negatives_of_unlisted_pairs_are_asked_of_the_same_catalogue(
     small_catalogue: Catalogue, monkeypatch: pytest.MonkeyPatch
 ) -> None:

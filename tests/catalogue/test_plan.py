@@ -31,6 +31,7 @@ def entries_of_preset(name: str, machine: str = "quick-return") -> tuple[Entry, 
     return entries_of(preset(name), shipped_machine(machine))
 
 
+@pytest.mark.long
 def test_presets_hold_what_they_say() -> None:
     quick = entries_of_preset("quick")
     # A half of the machines in order are there on another day, too.

@@ -238,6 +238,7 @@ def simulated(fault: str, course: Course) -> Recording:
     return Recording.from_arrays(signal, 10_000.0, [sensor.name for sensor in running.sensors], name="press.csv")
 
 
+@pytest.mark.long
 def test_a_run_up_has_one_answer(two_speeds: Catalogue) -> None:
     recording = simulated("A=0.2mm", [(0.0, 0.72), (10.0, 1.08)])
     answer = diagnose(recording, two_speeds)

@@ -62,6 +62,7 @@ def test_steady_recordings_stay_whole(name: str) -> None:
     assert steady_stretch(recording.signal, recording.sample_rate, nominal) == Stretch(0, len(recording.signal))
 
 
+@pytest.mark.long
 def test_a_recording_that_begins_at_standstill_is_prepared_as_if_it_had_not() -> None:
     signal, speed = whole_run("four-bar", "", 1.0, 4.0)
     made_of = shipped_machine("four-bar")

@@ -32,6 +32,7 @@ def marched(
     return out
 
 
+@pytest.mark.long
 def test_pendulum_swings_with_its_period() -> None:
     bodies = {"ground": STILL, "bob": Body(0.5, 2e-3, (0.0, -0.2))}
     pins = {"P": Pin("bob", "ground", (0.0, 0.0), 0.0)}
