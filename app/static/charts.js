@@ -223,6 +223,10 @@
     const before = drawn.get(place);
     before?.chart.destroy();
     clearTimeout(before?.waiting);
+    before?.asked?.abort();
+    // The same once more is drawn whole, and then as closely as it was looked at.
+    const again = before?.figure === figure && before;
+    if (again) Object.assign(figure, before.first);
     place.replaceChildren();
     const ends = [figure.at[0], figure.at[figure.at.length - 1]];
     const entry = { place, figure, ends, whole: figure.x.range || ends, window: [], first: { ...figure }, bar: before?.bar, said: before?.said };
@@ -238,7 +242,8 @@
     queueMicrotask(() => {
       entry.window = shown(entry);
       entry.ready = true;
-      if (figure.x.first) show(entry, ...figure.x.first);
+      const part = again?.ready ? again.window : figure.x.first;
+      if (part) show(entry, ...part);
     });
     return entry;
   };

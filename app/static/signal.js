@@ -260,7 +260,7 @@
     if (event.target.id === "contact") simulate();
     const entry = chartAt(place("spectrum"));
     if (!entry || byId("look-harmonics").value !== "cursor" || !entry.place.contains(event.target)) return;
-    entry.figure.harmonic = entry.chart.posToVal(entry.chart.cursor.left, "x");
+    entry.figure.harmonic = entry.first.harmonic = entry.chart.posToVal(entry.chart.cursor.left, "x");
     entry.chart.redraw(false);
   };
 
