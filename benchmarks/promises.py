@@ -53,7 +53,10 @@ class Promise(NamedTuple):
 
 
 def promises(folder: Path, catalogues: Path, before: Path | None = None) -> list[Promise]:
-    """Ask each recording for another speed, and take it; beside what was recorded before."""
+    """Ask each recording for another speed, and take it; beside what was recorded before.
+
+    Ends the program where one of these is missing.
+    """
     opened: dict[str, Catalogue] = {}
     found = []
     for truth_file in sorted(folder.rglob("truth.json")):
@@ -67,7 +70,7 @@ def promises(folder: Path, catalogues: Path, before: Path | None = None) -> list
             machine = truths[names[0]]["machine"]
             catalogue = opened.setdefault(machine, Catalogue.open(catalogues / machine))
             earlier = [] if before is None else [recorded_before(before, f"{name}.npz") for name in names]
-            past = {each.sha256: prepared_of(each, catalogue) for each in map(read_measurement, earlier)}
+            past = {each.sha256: _prepared(each, catalogue) for each in map(read_measurement, earlier)}
             known = KnownMachine.of(past, catalogue) if past else None
             heard = {name: _heard(truth_file.with_name(f"{name}.npz"), catalogue, known) for name in names}
             for name, other in itertools.permutations(names, 2):
@@ -87,7 +90,7 @@ def promises(folder: Path, catalogues: Path, before: Path | None = None) -> list
     return found
 
 
-def prepared_of(recording: Recording | MeasuredSpectrum, catalogue: Catalogue) -> PreparedMeasurement:
+def _prepared(recording: Recording | MeasuredSpectrum, catalogue: Catalogue) -> PreparedMeasurement:
     """Prepare a recording for a catalogue of its machine."""
     scale = (catalogue.scheme, catalogue.recipe.nominal_drive_speed, catalogue.drive_speeds)
     return prepare(recording, catalogue.machine, None, None, *scale)
@@ -96,7 +99,7 @@ def prepared_of(recording: Recording | MeasuredSpectrum, catalogue: Catalogue) -
 def _heard(file: Path, catalogue: Catalogue, known: KnownMachine | None) -> Heard:
     recording = read_recording(file)
     library = library_of(catalogue)
-    return hear(prepared_of(recording, catalogue), recording.sha256, catalogue, QUESTION, library, known=known)
+    return hear(_prepared(recording, catalogue), recording.sha256, catalogue, QUESTION, library, known=known)
 
 
 def near_to(what: str, rpm: float) -> bool:

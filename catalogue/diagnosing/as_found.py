@@ -76,7 +76,9 @@ class Refined:
     reason : str
         What was done, or why nothing was, in words.
     load : NamedCause, optional
-        Found in the recording, where the machine with it explains that. One that it had when it was in order is none.
+        Found in the recording, where the machine with it explains that; none where recordings in order have told one.
+    told : bool
+        Whether what was simulated has the numbers that these have told.
     """
 
     result: MatchResult
@@ -84,6 +86,7 @@ class Refined:
     generations: int
     reason: str
     load: NamedCause | None = None
+    told: bool = False
 
 
 def refine(
@@ -189,8 +192,10 @@ def refine(
         for match, weight in zip(found.hypotheses, weights, strict=True)
     ]
     refined = _blend(result, replace(found, hypotheses=rank(again).hypotheses), every, len(drawn), load)
-    told = f"; numbers by {CASES} cases of the machine in order" if numbers else ""
-    return replace(refined, reason=refined.reason + told, load=None if own else refined.load)
+    if numbers is None:
+        return refined
+    reason = f"{refined.reason}; numbers by {CASES} cases of the machine in order"
+    return replace(refined, reason=reason, load=None if own else refined.load, told=True)
 
 
 def networks_of(spectra: FoundSpectra, observed: Observed) -> NetworkShelf:
@@ -316,7 +321,7 @@ def _blend(
     p_value = found.p_value if found.trusted_p_value is None else found.trusted_p_value
     trust = weight_as_filed(p_value) * near / (1.0 + near)
     cause = None if load is None else load.cause(trust)
-    share = UNTOLD_SHARE if result.beside and load is None else FOUND_SHARE
+    share = UNTOLD_SHARE if result.beside and cause is None else FOUND_SHARE
     before = {match.label: match.probability for match in result.hypotheses}
     total = sum(before[match.label] for match in found.hypotheses)
     pooled = {

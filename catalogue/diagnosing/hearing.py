@@ -143,16 +143,20 @@ def hear(
             is_as_it_was = p_since is not None and not is_otherwise
             was_changed, p_before = needs_cause(result) and not is_as_it_was, result.trusted_p_value
             was_worn, result = result.p_worn > 0.5, refined.result
+            is_its_own = refined.told and not needs_cause(result)
             if is_as_it_was:
                 # Nor is what was looked for beside wear that is none.
                 causes = () if was_worn and result.p_worn <= 0.5 else causes
             elif refined.load:
                 causes = (refined.load,)
+            elif is_its_own and (p_since is None or result.p_worn > 0.5):
+                causes = ()
             spent = EffortSpent(simulations=refined.simulations, generations=refined.generations, note=refined.reason)
             if refined.simulations:
                 p_value, verdict = judge(result, question.coverage, causes, p_since=p_since)
-                if was_changed and not (verdict == "worn" and result.p_worn >= SURE_ABOVE):
-                    # With a load that the file does not have it is not in order, however well that explains it.
+                is_explained = is_its_own and p_since is None
+                if was_changed and not is_explained and not (verdict == "worn" and result.p_worn >= SURE_ABOVE):
+                    # With a load that neither file nor past have it is not in order, however well that explains it.
                     verdict = "unknown" if verdict == "unknown" else "changed"
                 elif p_before is not None and p_before < DOUBTED_BELOW and verdict == "worn":
                     verdict = "worn" if result.p_worn >= SURE_ABOVE else "unknown"  # as without the simulation

@@ -87,8 +87,8 @@ def suggest(
     The separation is that of the best linear combination of levels (Fisher's), learned from half of the entries and
     measured on the others, with the entries' own scatter, noise and discrepancies: the share on the wrong side of the
     middle, and d' with Phi(-d' / 2) = error. Another sensor is taken to be as noisy as the median of those there are;
-    several recordings count as they do in a common answer of such recordings, beside the machine's past or not
-    (:class:`~jointplay.catalogue.matching.together.Likeness`).
+    several recordings count as in a common answer, by one likeness where all were heard beside the machine's past, by
+    another otherwise (:class:`~jointplay.catalogue.matching.together.Likeness`); what is suggested, as those heard.
     What the answer is sure of already is known: what is gained follows from what separates the hypotheses *more* than
     now, beginning with their probabilities (:func:`foresee`).
     """

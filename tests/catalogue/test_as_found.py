@@ -246,13 +246,30 @@ def test_what_the_machine_in_order_has_told_is_simulated(
     vague = replace(result, trusted_p_value=1e-4)
     found = refine(loaded, observed, small_catalogue, vague, ["A", "B"], tell=lambda: (load, told), cases=1)
     assert "loads of -50 and 20 N" in found.reason
-    assert found.load is None  # it is no cause of what has changed since
+    assert found.told
     assert {round(entry.parameters[path], 1) for entry in simulated} == {7.5}
     simulated.clear()
     sure = replace(result, trusted_p_value=1.0)
     as_filed = refine(loaded, observed, small_catalogue, sure, ["A", "B"], tell=lambda: pytest.fail("asked"), cases=1)
     assert "loads" not in as_filed.reason
     assert len({entry.parameters[path] for entry in simulated}) > 10
+
+
+@pytest.mark.long
+def test_a_load_that_the_machine_always_had_is_no_cause(
+    small_catalogue: Catalogue, loaded: PreparedMeasurement, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Found in the recording the same load is one."""
+    observed, result = asked(small_catalogue, loaded)
+    load = find_load(small_catalogue, of_likely(loaded, result), small_catalogue.recipe.nominal_drive_speed)
+    nothing = ToldNumbers((), np.zeros(0), np.zeros(0), np.zeros(0, bool))
+    monkeypatch.setattr(as_found, "weight_as_filed", lambda p_value: 1.0)
+    vague = replace(result, trusted_p_value=1e-4)
+    told = refine(loaded, observed, small_catalogue, vague, ["A", "B"], tell=lambda: (load, nothing), cases=1)
+    found = refine(loaded, observed, small_catalogue, vague, ["A", "B"], cases=1)
+    assert "does not explain" not in told.reason + found.reason
+    assert (told.load, told.told, found.told) == (None, True, False)
+    assert found.load is not None
 
 
 def test_a_machine_that_is_not_taken_for_its_file_is_not_simulated(

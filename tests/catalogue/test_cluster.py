@@ -98,7 +98,7 @@ def test_result_that_never_arrives_whole_ends_the_build(tmp_path: Path, schedule
         quick_build(tmp_path, executor=workers, compute=spoil)
     workers.close()
     attempts = re.match(rule, str(raised.value))
-    # Beside parts without a case in common, halves of a chunk fail: how many, the order of answers says.
+    # Parts that share cases fail, too: how many do before it ends depends on the order of the answers.
     assert attempts and int(attempts[1]) >= HOPELESS
 
 
