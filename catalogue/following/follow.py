@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from datetime import datetime, timedelta
 
 import numpy as np
+from scipy.special import logit
 
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.following.causes import follow_causes
@@ -14,6 +15,7 @@ from jointplay.catalogue.following.evidence import read_answer, read_measured, w
 from jointplay.catalogue.following.play import (
     AXIS,
     REPAIRS,
+    REPAIRS_OF_WORN,
     YEAR,
     JointBounds,
     let_pass,
@@ -97,7 +99,8 @@ def follow(
         marginal = belief.sum(axis=(1, 2))
         foretold = [_three(row) for row in marginal]
         worn_before = (marginal * is_worn).sum(axis=1)
-        share = 1.0 - math.exp(-REPAIRS * passed)
+        rates = np.array([REPAIRS_OF_WORN if sure[name] else REPAIRS for name in names])
+        share = -np.expm1(-rates * passed)[:, None, None, None]
         mended = np.array([bounds[name].mended(belief[j]) for j, name in enumerate(names)])
         belief = (1.0 - share) * belief + share * mended
         belief = belief * weigh(belief, read_answer(taught.apply(event.answer), bounds))
@@ -116,7 +119,7 @@ def follow(
                 sure[name] = sure[name] or event.at
             elif p_worn[j] < UNWORN:
                 if sure[name]:
-                    at = _first_below(courses[name])
+                    at = _greatest_fall(courses[name])
                     repairs.append(Repair(at=at, joint=name, probability=1.0 - float(p_worn[j])))
                 sure[name] = None
     heard = [event for event in events if isinstance(event, Visit)]
@@ -147,10 +150,11 @@ def _check(visits: Sequence[Visit], inspections: Sequence[Inspection], names: Se
                 raise DiagnosisError(f"inspection: joints.{joint}: must be one of {', '.join(names)}")
 
 
-def _first_below(course: Sequence[CoursePoint]) -> datetime:
-    """Moment of the first recording after the last one that was sure of wear."""
+def _greatest_fall(course: Sequence[CoursePoint]) -> datetime:
+    """Moment of the recording, after the last one that was sure of wear, that said most against it."""
     last = max(place for place, point in enumerate(course) if point.p_worn >= SURE)
-    return course[last + 1].at
+    odds = logit(np.clip([point.p_worn for point in course[last:]], 1e-9, 1.0 - 1e-9))
+    return course[last + 1 + int(np.diff(odds).argmin())].at
 
 
 def _three(marginal: FloatArray) -> tuple[float, float, float]:

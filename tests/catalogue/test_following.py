@@ -14,9 +14,10 @@ from lives import BEGIN, BOUNDS, JOINTS, answer, course_of_wear
 
 from jointplay.catalogue.diagnosing.answer import Cause
 from jointplay.catalogue.errors import DiagnosisError
+from jointplay.catalogue.following import follow as following
 from jointplay.catalogue.following.follow import follow
 from jointplay.catalogue.following.play import AXIS, RATES, STEP, YEAR, bounds_of, let_pass, quantiles, time_to
-from jointplay.catalogue.following.state import WearState
+from jointplay.catalogue.following.state import CoursePoint, WearState
 from jointplay.catalogue.following.visits import Inspection, Visit
 from jointplay.solver.machines.machine import parse_machine, shipped_machine
 
@@ -90,14 +91,44 @@ def test_a_zone_does_not_matter_but_none_is_refused() -> None:
 
 
 def test_nothing_falls_by_itself() -> None:
-    """A quieter recording does not take back what others were sure of: a repair is believed at the second."""
+    """A quieter recording does not take back all that others were sure of: a repair is believed at the second."""
     visits = course_of_wear(wears(20), 2)
     quiet = answer({"A": -6.0, "B": -3.0, "O": -6.0}, AS_NEW)
     state = followed([*visits, Visit(visits[-1].at + timedelta(days=30), "q", quiet)])
-    assert 0.3 < state.joints["B"].p_worn < 0.6  # measured 0.37
+    assert 0.05 < state.joints["B"].p_worn < 0.3  # measured 0.10
     assert state.joints["B"].moved_by < 0.0
     again = [Visit(visits[-1].at + timedelta(days=30 * number), str(number), quiet) for number in (1, 2)]
-    assert followed([*visits, *again]).joints["B"].p_worn < 0.1
+    assert followed([*visits, *again]).joints["B"].p_worn < 0.05
+
+
+def test_a_joint_that_is_known_to_be_worn_is_mended_sooner(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is only likely to be worn nobody has been told."""
+    visits = course_of_wear(wears(20), 2)
+    courses = [visits, visits[: visits_until_sure(visits)]]
+    quiet = answer({"A": -6.0, "B": -1.0, "O": -6.0}, AS_NEW)
+    courses = [[*known, Visit(known[-1].at + timedelta(days=30), "q", quiet)] for known in courses]
+    soon = [followed(course).joints["B"].p_worn for course in courses]
+    monkeypatch.setattr(following, "REPAIRS_OF_WORN", following.REPAIRS)
+    late = [followed(course).joints["B"].p_worn for course in courses]
+    assert soon[0] < 0.5 * late[0]  # measured 0.17 and 0.51
+    assert soon[1] == late[1]
+
+
+def visits_until_sure(visits: list[Visit]) -> int:
+    """How many there were before B was surely worn."""
+    since = followed(visits).joints["B"].first_sure_at
+    return [visit.at for visit in visits].index(since or BEGIN)
+
+
+def test_a_repair_was_where_wear_fell_most() -> None:
+    """In odds: from nearly sure to sure it may have fallen before, too."""
+    course = [
+        CoursePoint(at=BEGIN + timedelta(days=day), p_worn=p, clearance_um=1, interval_um=(1, 1), foretold_um=(1, 1))
+        for day, p in enumerate((0.2, 0.95, 0.97, 0.88, 0.22, 0.3))
+    ]
+    assert following._greatest_fall(course) == BEGIN + timedelta(days=4)
+    assert following._greatest_fall([*course[:3], course[4]]) == BEGIN + timedelta(days=4)
+    assert following._greatest_fall([*course[:3], course[0], course[4]]) == BEGIN
 
 
 def test_a_repair_is_seen() -> None:
