@@ -22,7 +22,7 @@ from jointplay.catalogue.diagnosing.comparison import LEAST_NOISE_DENSITY, exact
 from jointplay.catalogue.matching.discrepancy import Discrepancy
 from jointplay.catalogue.matching.matcher import HypothesisMatch, MatchResult
 from jointplay.catalogue.matching.observation import Sensing, observe
-from jointplay.catalogue.matching.together import BESIDE_PAST, Likeness
+from jointplay.catalogue.matching.together import Likeness
 from jointplay.catalogue.signals.feature_bands import join_bands
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.signals.sensors import free_motions
@@ -87,16 +87,15 @@ def suggest(
     The separation is that of the best linear combination of levels (Fisher's), learned from half of the entries and
     measured on the others, with the entries' own scatter, noise and discrepancies: the share on the wrong side of the
     middle, and d' with Phi(-d' / 2) = error. Another sensor is taken to be as noisy as the median of those there are;
-    several recordings count as in a common answer, by one likeness where all were heard beside the machine's past, by
-    another otherwise (:class:`~jointplay.catalogue.matching.together.Likeness`); what is suggested, as those heard.
+    several recordings count as they do in a common answer that has not heard the machine's past
+    (:class:`~jointplay.catalogue.matching.together.Likeness`).
     What the answer is sure of already is known: what is gained follows from what separates the hypotheses *more* than
     now, beginning with their probabilities (:func:`foresee`).
     """
     contenders = [match for match in result.hypotheses[:CONTENDERS] if match.probability >= LEAST_PROBABILITY]
     if len(contenders) < 2:
         contenders = list(result.hypotheses[:2])
-    likeness = BESIDE_PAST if result.beside else Likeness()
-    question = _Separation(catalogue, prepared, tuple(contenders), likeness)
+    question = _Separation(catalogue, prepared, tuple(contenders))
     if len(contenders) < 2 or not question.answerable(prepared.drive_speed):
         return ()
     heard = [prepared.drive_speed, *others]
@@ -120,7 +119,6 @@ class _Separation:
     catalogue: Catalogue
     prepared: PreparedMeasurement
     contenders: tuple[HypothesisMatch, ...]
-    likeness: Likeness
     known: dict[float, FloatArray] = field(default_factory=dict)
     """Separation by the recording's own sensors, by stored speed."""
 
@@ -150,7 +148,7 @@ class _Separation:
         apart = [self.known[factor] for factor in stored]
         if sensing is not None:
             apart[0] = self.squared_distances(sensing, speeds[0])
-        found: FloatArray = self.likeness.weights(stored) @ np.array(apart)
+        found: FloatArray = Likeness().weights(stored) @ np.array(apart)
         return found
 
     def rows(self, match: HypothesisMatch, speed: float) -> IntArray:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,6 @@ from jointplay.catalogue.diagnosing.separation import _more_sensors, _sensing, _
 from jointplay.catalogue.matching.discrepancy import Discrepancy
 from jointplay.catalogue.matching.matcher import ClearanceEstimate, HypothesisMatch, MatchResult
 from jointplay.catalogue.matching.observation import Sensing, observe
-from jointplay.catalogue.matching.together import Likeness
 from jointplay.catalogue.measurements.measurement import Recording, read_measurement
 from jointplay.catalogue.plans.plan import parse_plan
 from jointplay.catalogue.signals.features import prepare
@@ -112,7 +110,7 @@ def test_another_matcher_finds_what_was_promised(small_catalogue: Catalogue) -> 
     Measured: promised 5.0 to 3.0 %, found 17 to 6 % with the best sensor; 15 % with the same sensor once more.
     """
     prepared, machine = recorded(small_catalogue, (0,)), small_catalogue.machine
-    question = _Separation(small_catalogue, prepared, answer(("A", 0.5), ("B", 0.5)).hypotheses, Likeness())
+    question = _Separation(small_catalogue, prepared, answer(("A", 0.5), ("B", 0.5)).hypotheses)
     now = exact_sensing(prepared)
     errors = [question.mistaken(question.squared_distances(sensing, prepared.drive_speed)) for sensing in (now,)]
     ranked = sorted(
@@ -137,12 +135,6 @@ def test_speeds_that_the_catalogue_holds(tmp_path: Path) -> None:
     both = suggest(catalogue, recorded(catalogue, (0,)), answer(("A", 0.5), ("B", 0.5)), others=[50.0], count=30)
     assert not [each for each in both if each.kind == "speed"]
     assert {each.separation_now for each in both} == {speeds[0].separation}
-    # Beside the machine's past what they have wrong is less alike: a second recording brings more.
-    beside = replace(answer(("A", 0.5), ("B", 0.5)), beside=True)
-    asked = suggest(catalogue, recorded(catalogue, (0,)), beside, count=30)
-    (heard,) = (each for each in asked if each.kind == "speed")
-    assert heard.separation_now == speeds[0].separation_now
-    assert heard.separation**2 == pytest.approx(1.4 / 1.1 * speeds[0].separation ** 2)
 
 
 def test_what_is_foreseen_of_two() -> None:
