@@ -143,7 +143,7 @@ def hear(
             is_as_it_was = p_since is not None and not is_otherwise
             was_changed, p_before = needs_cause(result) and not is_as_it_was, result.trusted_p_value
             was_worn, result = result.p_worn > 0.5, refined.result
-            is_its_own = refined.told and not needs_cause(result)
+            is_its_own = refined.told and not refined.load and not needs_cause(result)
             if is_as_it_was:
                 # Nor is what was looked for beside wear that is none.
                 causes = () if was_worn and result.p_worn <= 0.5 else causes
@@ -156,7 +156,7 @@ def hear(
                 p_value, verdict = judge(result, question.coverage, causes, p_since=p_since)
                 is_explained = is_its_own and p_since is None
                 if was_changed and not is_explained and not (verdict == "worn" and result.p_worn >= SURE_ABOVE):
-                    # With a load that neither file nor past have it is not in order, however well that explains it.
+                    # With a load that neither file nor past has it is not in order, however well that explains it.
                     verdict = "unknown" if verdict == "unknown" else "changed"
                 elif p_before is not None and p_before < DOUBTED_BELOW and verdict == "worn":
                     verdict = "worn" if result.p_worn >= SURE_ABOVE else "unknown"  # as without the simulation

@@ -16,6 +16,7 @@ from jointplay.catalogue.following.play import (
     AXIS,
     REPAIRS,
     REPAIRS_OF_WORN,
+    SOON,
     YEAR,
     JointBounds,
     let_pass,
@@ -99,8 +100,9 @@ def follow(
         marginal = belief.sum(axis=(1, 2))
         foretold = [_three(row) for row in marginal]
         worn_before = (marginal * is_worn).sum(axis=1)
-        rates = np.array([REPAIRS_OF_WORN if sure[name] else REPAIRS for name in names])
-        share = -np.expm1(-rates * passed)[:, None, None, None]
+        known = np.array([bool(course) and course[-1].p_worn >= SURE for course in courses.values()])
+        expected = REPAIRS * passed + known * (REPAIRS_OF_WORN - REPAIRS) * min(passed, SOON)
+        share = -np.expm1(-expected)[:, None, None, None]
         mended = np.array([bounds[name].mended(belief[j]) for j, name in enumerate(names)])
         belief = (1.0 - share) * belief + share * mended
         belief = belief * weigh(belief, read_answer(taught.apply(event.answer), bounds))

@@ -46,8 +46,9 @@ YEAR = 365.25 * 86400.0
 CHANGES = 1.0 / YEAR
 """How often a joint begins to wear at another rate, 1/s."""
 
-REPAIRS, REPAIRS_OF_WORN = 0.2 / YEAR, 1.0 / YEAR
-"""How often a joint is made as new without a word, 1/s; and one of which it is known that it is surely worn."""
+REPAIRS, REPAIRS_OF_WORN, SOON = 0.2 / YEAR, 1.0 / YEAR, 0.25 * YEAR
+"""How often a joint is made as new without a word, 1/s; one that was surely worn by the recording before, and for how
+long after that, s."""
 
 WORN_AT_FIRST = 0.1
 """Probability of a joint to be worn when nothing is known of it."""

@@ -16,7 +16,7 @@ from jointplay.catalogue.diagnosing.diagnosis import answer
 from jointplay.catalogue.diagnosing.found_cases import ToldNumbers, draw_cases, simulate_cases
 from jointplay.catalogue.diagnosing.found_spectra import FoundSpectra
 from jointplay.catalogue.diagnosing.question import Question
-from jointplay.catalogue.diagnosing.stroke_loads import StrokeLoads, find_load
+from jointplay.catalogue.diagnosing.stroke_loads import FoundLoad, StrokeLoads, find_load
 from jointplay.catalogue.evaluation.protocols import PROTOCOLS, draw_truth
 from jointplay.catalogue.evaluation.recordings import Recordings, recorded
 from jointplay.catalogue.matching.learning import Learning, training_set
@@ -225,14 +225,20 @@ def test_without_a_load_the_machines_own_past_says_more(
     assert odds[1] == pytest.approx(0.5 * odds[0], rel=0.1)
 
 
+def doubted(catalogue: Catalogue, prepared: PreparedMeasurement) -> tuple[Observed, MatchResult, FoundLoad]:
+    """A recording whose machine is not as filed, as it is asked about, and the load that is found in it."""
+    observed, result = asked(catalogue, prepared)
+    load = find_load(catalogue, of_likely(prepared, result), catalogue.recipe.nominal_drive_speed)
+    assert load is not None
+    return observed, replace(result, trusted_p_value=1e-4), load
+
+
 @pytest.mark.long
 def test_what_the_machine_in_order_has_told_is_simulated(
     small_catalogue: Catalogue, loaded: PreparedMeasurement, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its load and its numbers, where the recording is doubted; of one that can be as filed nothing is asked."""
-    observed, result = asked(small_catalogue, loaded)
-    load = find_load(small_catalogue, of_likely(loaded, result), small_catalogue.recipe.nominal_drive_speed)
-    assert load is not None
+    observed, vague, load = doubted(small_catalogue, loaded)
     load = replace(load, mean=np.array([-50.0, 20.0]))
     path = "links.frame.mass"
     told = ToldNumbers((path,), np.array([math.log(7.5)]), np.array([1e-4]), np.array([True]))
@@ -243,13 +249,12 @@ def test_what_the_machine_in_order_has_told_is_simulated(
         return simulate_cases(catalogue, machine, cases)
 
     monkeypatch.setattr(as_found, "simulate_cases", simulate)
-    vague = replace(result, trusted_p_value=1e-4)
     found = refine(loaded, observed, small_catalogue, vague, ["A", "B"], tell=lambda: (load, told), cases=1)
     assert "loads of -50 and 20 N" in found.reason
     assert found.told
     assert {round(entry.parameters[path], 1) for entry in simulated} == {7.5}
     simulated.clear()
-    sure = replace(result, trusted_p_value=1.0)
+    sure = replace(vague, trusted_p_value=1.0)
     as_filed = refine(loaded, observed, small_catalogue, sure, ["A", "B"], tell=lambda: pytest.fail("asked"), cases=1)
     assert "loads" not in as_filed.reason
     assert len({entry.parameters[path] for entry in simulated}) > 10
@@ -260,11 +265,9 @@ def test_a_load_that_the_machine_always_had_is_no_cause(
     small_catalogue: Catalogue, loaded: PreparedMeasurement, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Found in the recording the same load is one."""
-    observed, result = asked(small_catalogue, loaded)
-    load = find_load(small_catalogue, of_likely(loaded, result), small_catalogue.recipe.nominal_drive_speed)
+    observed, vague, load = doubted(small_catalogue, loaded)
     nothing = ToldNumbers((), np.zeros(0), np.zeros(0), np.zeros(0, bool))
     monkeypatch.setattr(as_found, "weight_as_filed", lambda p_value: 1.0)
-    vague = replace(result, trusted_p_value=1e-4)
     told = refine(loaded, observed, small_catalogue, vague, ["A", "B"], tell=lambda: (load, nothing), cases=1)
     found = refine(loaded, observed, small_catalogue, vague, ["A", "B"], cases=1)
     assert "does not explain" not in told.reason + found.reason

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from lives import BEGIN, BOUNDS, JOINTS, answer, course_of_wear
 
-from jointplay.catalogue.diagnosing.answer import Cause
+from jointplay.catalogue.diagnosing.answer import Cause, SensorFlaw
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.following import follow as following
 from jointplay.catalogue.following.follow import follow
@@ -112,6 +112,18 @@ def test_a_joint_that_is_known_to_be_worn_is_mended_sooner(monkeypatch: pytest.M
     late = [followed(course).joints["B"].p_worn for course in courses]
     assert soon[0] < 0.5 * late[0]  # measured 0.17 and 0.51
     assert soon[1] == late[1]
+
+
+def test_silence_is_no_repair() -> None:
+    """A recording that says nothing, however late, leaves a joint that was surely worn rather worn than not."""
+    visits = course_of_wear(wears(20), 2)
+    flaw = SensorFlaw(kind="dead", sensors=("s1-x",), said="s1-x says nothing")
+    silent = visits[-1].answer.model_copy(update={"sensors": (flaw,)})
+    late = Visit(visits[-1].at + timedelta(days=700), "late", silent)
+    often = [Visit(visits[-1].at + timedelta(days=30 * number), str(number), silent) for number in range(1, 13)]
+    for quiet in ([late], often):
+        state = followed([*visits, *quiet])
+        assert state.joints["B"].p_worn > 0.5 and not state.repairs  # measured 0.56 and 0.83
 
 
 def visits_until_sure(visits: list[Visit]) -> int:
