@@ -97,7 +97,7 @@
     const from = Math.max(to(first), Math.min(to(low), to(last) - width));
     entry.chart.setScale("x", { min: Math.max(first, back(from)), max: Math.min(last, back(from + width)) });
   };
-  const reset = (entry) => entry.chart.setScale("x", { min: entry.whole[0], max: entry.whole[1] });
+  const reset = ({ chart, whole: [min, max] }) => chart.setScale("x", { min, max });
   const zoom = (entry, factor) => show(entry, along(entry, 0.5 - 0.5 * factor), along(entry, 0.5 + 0.5 * factor));
   const pan = (entry, part) => show(entry, along(entry, part), along(entry, 1 + part));
 
@@ -106,11 +106,10 @@
     const [low, high] = shown(entry);
     if (low === entry.window[0] && high === entry.window[1]) return;
     entry.window = [low, high];
-    entry.place.dataset.from = low;
-    entry.place.dataset.to = high;
+    Object.assign(entry.place.dataset, { from: low, to: high });
     if (!entry.ready) return;
     for (const other of drawn.values()) {
-      if (other === entry || !entry.figure.group || other.figure.group !== entry.figure.group) continue;
+      if (!entry.figure.group || other.figure.group !== entry.figure.group) continue;
       const [first, last] = shown(other);
       if (first !== low || last !== high) other.chart.setScale("x", { min: low, max: high });
     }
@@ -124,11 +123,10 @@
       const [low, high] = entry.window;
       const [first, last] = entry.whole;
       entry.asked = new AbortController();
-      // A screen more to either side, so that a pan has something to show at once.
-      const from = Math.max(first, low - (high - low));
-      const to = Math.min(last, high + (high - low));
+      // A screen more to either side, for a pan to show at once.
+      const wider = [Math.max(first, 2 * low - high), Math.min(last, 2 * high - low)];
       try {
-        const finer = low <= first && high >= last ? entry.first : await entry.figure.refine(from, to, entry.asked.signal);
+        const finer = low <= first && high >= last ? entry.first : await entry.figure.refine(...wider, entry.asked.signal);
         entry.chart.batch(() => {
           Object.assign(entry.figure, finer);
           entry.chart.setData(table(entry.figure), false);
@@ -182,8 +180,7 @@
     let pinch = null;
     const touched = (event) => {
       if (event.pointerType !== "touch") return;
-      if (event.type === "pointerdown") fingers.set(event.pointerId, event.offsetX);
-      if (!fingers.has(event.pointerId)) return;
+      if (event.type !== "pointerdown" && !fingers.has(event.pointerId)) return;
       fingers.set(event.pointerId, event.offsetX);
       const spots = [...fingers.values()].sort((a, b) => a - b);
       if (spots.length === 1) {
@@ -224,12 +221,11 @@
     before?.chart.destroy();
     clearTimeout(before?.waiting);
     before?.asked?.abort();
-    // The same once more is drawn whole, and then as closely as it was looked at.
-    const again = before?.figure === figure && before;
-    if (again) Object.assign(figure, before.first);
+    // The same drawn anew is looked at as closely.
+    const part = before?.ready && before.first === figure ? before.window : figure.x.first;
     place.replaceChildren();
-    const ends = [figure.at[0], figure.at[figure.at.length - 1]];
-    const entry = { place, figure, ends, whole: figure.x.range || ends, window: [], first: { ...figure }, bar: before?.bar, said: before?.said };
+    const ends = [figure.at[0], figure.at.at(-1)];
+    const entry = { place, figure: { ...figure }, ends, whole: figure.x.range || ends, window: [], first: figure, bar: before?.bar, said: before?.said };
     drawn.set(place, entry);
     entry.chart = new uPlot(options(entry, place.clientWidth), table(figure), place);
     if (!before) {
@@ -242,7 +238,6 @@
     queueMicrotask(() => {
       entry.window = shown(entry);
       entry.ready = true;
-      const part = again?.ready ? again.window : figure.x.first;
       if (part) show(entry, ...part);
     });
     return entry;
@@ -264,8 +259,9 @@
 
   let width = 0;
   const resized = () => {
-    if (document.documentElement.clientWidth === width) return;
-    width = document.documentElement.clientWidth;
+    const now = document.documentElement.clientWidth;
+    if (now === width) return;
+    width = now;
     drawAll();
   };
 

@@ -45,6 +45,10 @@ def visit(request: pytest.FixtureRequest, browser: Browser, server: str) -> Iter
         yield found
 
 
+ALL_HAS_COME = """() => [...document.querySelectorAll("[data-signal], #overall")].every(
+    each => each.hidden || each.closest("[hidden]") || each.querySelector("canvas, tbody tr"))"""
+
+
 def axis(chart: Locator) -> tuple[float, float]:
     """Ends of the axis that is drawn."""
     return float(chart.get_attribute("data-from") or "nan"), float(chart.get_attribute("data-to") or "nan")
@@ -56,6 +60,8 @@ def pixels(chart: Locator) -> str:
 
 
 def drag(page: Page, chart: Locator, begin: float, end: float) -> None:
+    """Once all of the page has come: charts above move it as they come, and the table has every chart drawn anew."""
+    page.wait_for_function(ALL_HAS_COME, timeout=SECONDS)
     chart.scroll_into_view_if_needed()
     box = chart.locator(".u-over").bounding_box()
     assert box is not None
