@@ -23,7 +23,8 @@ import numpy as np
 
 from benchmarks.real_machines import interval, recorded_before
 from jointplay.app.tables import table
-from jointplay.catalogue.diagnosing.hearing import Heard, hear
+from jointplay.catalogue.diagnosing.heard import Heard
+from jointplay.catalogue.diagnosing.hearing import hear
 from jointplay.catalogue.diagnosing.known_machine import KnownMachine
 from jointplay.catalogue.diagnosing.question import Question
 from jointplay.catalogue.diagnosing.telling import tell

@@ -20,7 +20,7 @@ from jointplay.catalogue.diagnosing.stroke_loads import FoundLoad, find_load
 from jointplay.catalogue.diagnosing.told_numbers import CASES
 from jointplay.catalogue.matching.learning import Learning, training_set
 from jointplay.catalogue.matching.matcher import HypothesisMatch, MatchResult, rank
-from jointplay.catalogue.matching.model_library import DOUBTED_BELOW, ModelLibrary, Observed, one_thread
+from jointplay.catalogue.matching.model_library import ModelLibrary, Observed, one_thread
 from jointplay.catalogue.matching.modes import ModeAsked
 from jointplay.catalogue.matching.network import NetworkTraining
 from jointplay.catalogue.matching.network_shelf import NetworkShelf
@@ -130,16 +130,15 @@ def refine(
     prior = prior or Prior()
     if mode == "robust":
         return Refined(result, 0, 0, "simulated is a machine like its file, which mode robust does not take it to be")
-    is_doubted = result.trusted_p_value is not None and result.trusted_p_value < DOUBTED_BELOW
-    if not is_doubted and result.best.probability > CERTAIN and len(candidates) <= 1:
+    if not result.is_doubted and result.best.probability > CERTAIN and len(candidates) <= 1:
         return Refined(result, 0, 0, f"certain already: {result.best.label} has more than {CERTAIN:g}")
     chosen = sets_to_simulate(result)
     if len(chosen) < 2:
         return Refined(result, 0, 0, "only one hypothesis is probable at all")
     speed = math.copysign(prepared.drive_speed, catalogue.recipe.nominal_drive_speed)
-    own, numbers = tell() if is_doubted else (None, None)
+    own, numbers = tell() if result.is_doubted else (None, None)
     load = own
-    if is_doubted and own is None:
+    if result.is_doubted and own is None:
         with one_thread():
             shown = [(prepared, match.label, match.probability) for match in result.hypotheses[:3]]
             load = find_load(catalogue, shown, speed)

@@ -18,7 +18,7 @@ from jointplay.catalogue.diagnosing.answer import (
     RecordingShare,
     SensorFlaw,
 )
-from jointplay.catalogue.diagnosing.hearing import Heard
+from jointplay.catalogue.diagnosing.heard import Heard
 from jointplay.catalogue.diagnosing.joint_states import edge_warnings, joint_states
 from jointplay.catalogue.diagnosing.question import Question
 from jointplay.catalogue.diagnosing.separation import suggest

@@ -12,14 +12,15 @@ import numpy as np
 
 from jointplay.catalogue.diagnosing.answer import Diagnosis, EffortSpent, RecordingShare
 from jointplay.catalogue.diagnosing.causes import NamedCause
-from jointplay.catalogue.diagnosing.hearing import Heard, hear
+from jointplay.catalogue.diagnosing.heard import Heard
+from jointplay.catalogue.diagnosing.hearing import hear
 from jointplay.catalogue.diagnosing.known_machine import KnownMachine, recordings_in_order
 from jointplay.catalogue.diagnosing.question import MOST_TOGETHER, Question
 from jointplay.catalogue.diagnosing.telling import tell
 from jointplay.catalogue.diagnosing.verdict import SURE_ABOVE, judge, needs_cause
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.matching.matcher import MatchResult
-from jointplay.catalogue.matching.model_library import DOUBTED_BELOW, ModelLibrary, library_of
+from jointplay.catalogue.matching.model_library import ModelLibrary, library_of
 from jointplay.catalogue.matching.modes import Effort, ModeAsked
 from jointplay.catalogue.matching.prior import Prior
 from jointplay.catalogue.matching.together import Together, match_together
@@ -207,10 +208,7 @@ def _left_out(heard: Sequence[Heard]) -> list[str]:
         else ""
         for each in heard
     ]
-    sound = sum(
-        not reason and (each.result.trusted_p_value or 1.0) >= DOUBTED_BELOW
-        for each, reason in zip(heard, reasons, strict=True)
-    )
+    sound = sum(not reason and not each.result.is_doubted for each, reason in zip(heard, reasons, strict=True))
     # What most recordings have is of the machine, not of a recording.
     if 2 * sound <= len(heard):
         flawed = [reason if each.prepared.flaws else "" for each, reason in zip(heard, reasons, strict=True)]

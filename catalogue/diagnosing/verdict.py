@@ -16,7 +16,6 @@ from jointplay.catalogue.diagnosing.causes import NEAREST, NamedCause, name_caus
 from jointplay.catalogue.diagnosing.frame_modes import find_mode
 from jointplay.catalogue.diagnosing.past import PastComparison
 from jointplay.catalogue.matching.matcher import UNKNOWN_BELOW, HypothesisMatch, MatchResult
-from jointplay.catalogue.matching.model_library import DOUBTED_BELOW
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.signals.sensor_flaws import SensorContradiction
 from jointplay.catalogue.storage.store import Catalogue
@@ -72,8 +71,7 @@ def judge(
     in_order = result.p_worn <= 0.5
     as_before = p_since is not None and p_since >= OTHERWISE_BELOW
     explained = (p_value >= UNKNOWN_BELOW and bool(result.set(coverage).labels)) or (as_before and in_order)
-    trusted = 1.0 if result.trusted_p_value is None else result.trusted_p_value
-    is_worn = result.p_worn >= SURE_ABOVE if trusted < DOUBTED_BELOW else not in_order and bool(result.best.joints)
+    is_worn = result.p_worn >= SURE_ABOVE if result.is_doubted else not in_order and bool(result.best.joints)
     found = bool(causes) and causes[0].probability >= NAMED_ABOVE
     if needs_cause(result) and not as_before:
         if explained and is_worn and (result.beside or (not found and p_value >= SURE_P_VALUE)):

@@ -28,6 +28,9 @@ NORMAL_90 = 1.645
 UNKNOWN_BELOW = 0.02
 """P-value below which a hypothesis does not explain a recording."""
 
+DOUBTED_BELOW = 0.05
+"""P-value of the trusted mode below which the robust one has a say."""
+
 
 @dataclass(frozen=True, eq=False)
 class DrawnFeatures:
@@ -285,6 +288,11 @@ class MatchResult:
     def p_value(self) -> float:
         """P-value of the best fitting hypothesis of the 95 % set: whether any likely cause explains the measurement."""
         return self.p_value_within(0.95)
+
+    @property
+    def is_doubted(self) -> bool:
+        """Whether the trusted mode was tried, and hardly explains the measurement."""
+        return self.trusted_p_value is not None and self.trusted_p_value < DOUBTED_BELOW
 
     def p_value_within(self, coverage: float) -> float:
         """Return the largest p-value in the set of a coverage; that of the first hypothesis where the set is empty."""

@@ -17,7 +17,7 @@ from threadpoolctl import ThreadpoolController
 from jointplay.catalogue import FEATURES_VERSION, MATCHER_VERSION
 from jointplay.catalogue.matching.gaussian import NAME, FittedGaussian, fit_gaussian
 from jointplay.catalogue.matching.learning import Learning, SpectraSource, band_widths, training_set
-from jointplay.catalogue.matching.matcher import MatchResult, TrainingSet
+from jointplay.catalogue.matching.matcher import DOUBTED_BELOW, MatchResult, TrainingSet
 from jointplay.catalogue.matching.modelfile import age_key, as_read, read_model, write_model
 from jointplay.catalogue.matching.modes import Effort, ModeAsked
 from jointplay.catalogue.matching.network_shelf import Networks, NetworkShelf
@@ -32,9 +32,6 @@ NOISE_STEP_DB = 3.0
 
 LOADED = 4
 """Models read from files at once when a server starts: two modes at two steps of noise, some 100 MB."""
-
-DOUBTED_BELOW = 0.05
-"""P-value of the trusted mode below which the robust one has a say."""
 
 CATALOGUES = 4
 """Catalogues whose models are kept in memory."""

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from in_order import off_by, recordings
 
-from jointplay.catalogue.diagnosing import hearing
+from jointplay.catalogue.diagnosing import hearing, hearing_anew
 from jointplay.catalogue.diagnosing.as_found import Refined
 from jointplay.catalogue.diagnosing.baseline_levels import OrderLevels
 from jointplay.catalogue.diagnosing.causes import NamedCause, name_causes, name_changes
@@ -183,7 +183,7 @@ def test_the_machine_as_found_is_simulated_beside_the_past_too(
         assert args[3].beside
         return Refined(args[3], 7, 1, "simulated", NamedCause("load on one stroke", 30.0, "N", 0.99))
 
-    monkeypatch.setattr(hearing, "refine", simulated)
+    monkeypatch.setattr(hearing_anew, "refine", simulated)
     known = KnownMachine.of({"a": visits["first"]}, small_catalogue)
     library = Listening(small_catalogue.matrix)
     heard = hearing.hear(visits["second"], "c", small_catalogue, Question("thorough"), library, known=known)

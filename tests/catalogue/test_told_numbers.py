@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jointplay.catalogue.diagnosing import hearing, known_machine, told_numbers
+from jointplay.catalogue.diagnosing import hearing, hearing_anew, known_machine, told_numbers
 from jointplay.catalogue.diagnosing.as_found import Refined
 from jointplay.catalogue.diagnosing.causes import NamedCause
 from jointplay.catalogue.diagnosing.diagnosis import answer
@@ -220,7 +220,7 @@ def test_what_was_looked_for_beside_wear_goes_with_it(
     compare = hearing.compare_with_past
     ripple = NamedCause("ripple, order 6", 1e-3, "rad", 0.9)
     monkeypatch.setattr(hearing, "find_causes", lambda *_: (ripple,))
-    monkeypatch.setattr(hearing, "refine", refine)
+    monkeypatch.setattr(hearing_anew, "refine", refine)
     monkeypatch.setattr(hearing, "compare_with_past", compare_with_past)
     known = KnownMachine.of({"one": in_order}, small_catalogue)
     worn = recording_of(small_catalogue, ["B"])

@@ -17,8 +17,7 @@ from jointplay.catalogue.diagnosing.verdict import (
     needs_cause,
 )
 from jointplay.catalogue.matching.conformal import Conformal
-from jointplay.catalogue.matching.matcher import UNKNOWN_BELOW, HypothesisMatch, MatchResult, rank
-from jointplay.catalogue.matching.model_library import DOUBTED_BELOW
+from jointplay.catalogue.matching.matcher import DOUBTED_BELOW, UNKNOWN_BELOW, HypothesisMatch, MatchResult, rank
 from jointplay.catalogue.signals.sensor_flaws import SensorContradiction
 
 NOTHING = np.zeros(1)
