@@ -16,12 +16,12 @@ from second_simulator.machine_file import read
 from second_simulator.recording import write
 
 from jointplay.catalogue.building.build import build
-from jointplay.catalogue.diagnosing.answer import Cause, Diagnosis, EffortSpent
+from jointplay.catalogue.diagnosing.answer import Diagnosis, EffortSpent
 from jointplay.catalogue.diagnosing.answer_of_baseline import FittedNumber
 from jointplay.catalogue.diagnosing.baseline import Baseline
 from jointplay.catalogue.diagnosing.diagnosis import diagnose
 from jointplay.catalogue.diagnosing.joint_states import edge_warnings
-from jointplay.catalogue.diagnosing.verdict import judge, number_warnings
+from jointplay.catalogue.diagnosing.verdict import number_warnings
 from jointplay.catalogue.errors import DiagnosisError, MeasurementError
 from jointplay.catalogue.evaluation.cross_checks import MethodLibrary
 from jointplay.catalogue.evaluation.nearest_entry import NearestEntry
@@ -31,7 +31,6 @@ from jointplay.catalogue.matching.model_library import ModelLibrary
 from jointplay.catalogue.measurements.import_profile import ImportProfile
 from jointplay.catalogue.measurements.measurement import Recording, read_measurement
 from jointplay.catalogue.plans.plan import parse_plan
-from jointplay.catalogue.signals.sensor_flaws import SensorContradiction
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.arrays import FloatArray
 from jointplay.solver.machines.machine import shipped_machine
@@ -363,37 +362,3 @@ def test_what_was_said_of_a_file_belongs_to_the_question(small_catalogue: Catalo
     # A hundredth more or less shows in no finding of the recipe, but in the answer.
     assert first.provenance == other.provenance
     assert first.id != other.id and first.hash != other.hash
-
-
-def test_rules_of_the_verdict() -> None:
-    assert judge(answer_of(A=(0.98, 0.3), healthy=(0.02, 0.001)), 0.95) == (0.3, "worn")
-    assert judge(answer_of(A=(0.02, 0.3), healthy=(0.98, 0.5)), 0.95) == (0.5, "in_order")
-    # Whichever joint it is, together they are likelier than none; but a verdict never contradicts what stands first.
-    assert judge(answer_of(A=(0.4, 0.3), healthy=(0.3, 0.5), B=(0.3, 0.2)), 0.95) == (0.5, "worn")
-    assert judge(answer_of(healthy=(0.4, 0.3), A=(0.3, 0.5), B=(0.3, 0.2)), 0.95) == (0.5, "unknown")
-    assert judge(answer_of(A=(0.99, 0.002), B=(0.01, 0.9)), 0.95) == (0.002, "unknown")
-    # One likely explanation that fits is enough.
-    assert judge(answer_of(A=(0.7, 0.002), B=(0.3, 0.2)), 0.95) == (0.2, "worn")
-
-
-@pytest.mark.parametrize(
-    ("p_worn", "p_value", "causes", "verdict"),
-    [
-        (0.95, 0.3, (), "worn"),
-        (0.95, 0.3, ("unbalance",), "changed"),
-        (0.95, 0.03, (), "changed"),
-        (0.8, 0.3, (), "changed"),
-        (0.01, 0.3, (), "changed"),
-        (0.95, 0.001, (), "unknown"),
-        (0.95, 0.001, ("unbalance",), "changed"),
-    ],
-)
-def test_a_machine_that_is_not_as_its_file_is_never_in_order_and_worn_only_where_that_is_sure(
-    p_worn: float, p_value: float, causes: tuple[str, ...], verdict: str
-) -> None:
-    found = replace(answer_of(A=(p_worn, p_value), healthy=(1.0 - p_worn, p_value)), trusted_p_value=5e-4)
-    named = [Cause(name=name, size=1.0, unit="kg m", probability=0.9) for name in causes]
-    assert judge(found, 0.95, named)[1] == verdict
-    # What sensors contradict is unknown, whatever else there is.
-    flaw = SensorContradiction("dead", ("s1-x",), "s1-x is dead")
-    assert judge(found, 0.95, named, [flaw])[1] == "unknown"

@@ -13,6 +13,7 @@ from jointplay.catalogue.diagnosing.verdict import (
     NAMED_ABOVE,
     OTHERWISE_BELOW,
     SURE_ABOVE,
+    SURE_P_VALUE,
     judge,
     needs_cause,
 )
@@ -109,6 +110,9 @@ def test_a_machine_that_is_not_as_filed_is_worn_only_where_that_is_nearly_sure_a
         # What is not probable enough is not what has changed.
         assert judge(found, 0.95, [replace(MOUNT, probability=0.99 * NAMED_ABOVE)]) == (0.5, verdict)
         assert judge(found, 0.95, [replace(MOUNT, probability=NAMED_ABOVE)]) == (0.5, "changed")
+    for p_value, verdict in ((SURE_P_VALUE, "worn"), (0.99 * SURE_P_VALUE, "changed")):
+        found = answer(1e-4, A=(0.99, p_value), healthy=(0.01, p_value))
+        assert judge(found, 0.95) == (p_value, verdict)
 
 
 def test_wear_that_is_nearly_sure_beside_the_own_past_is_worn_whatever_the_file_has_wrong() -> None:
