@@ -88,6 +88,14 @@ def read_answer(answer: Answer, bounds: Mapping[str, JointBounds]) -> Evidence:
     return Evidence(weights, densities, 1.0 if answer.sensors else DOUBTED if doubted else SLIP)
 
 
+def error_of(answer: Answer, joint: str) -> float:
+    """Return the standard deviation of ln(clearance) that an answer gives a joint; explanations without it err by 0."""
+    told = [
+        (match.probability, match.joints[joint].interval_um) for match in answer.hypotheses if joint in match.joints
+    ]
+    return math.sqrt(sum(share * (math.log(high / low) / (2.0 * HALF_90)) ** 2 for share, (low, high) in told))
+
+
 class _Edge(NamedTuple):
     """What an answer can say of clearances (X,) near those that count as wear.
 

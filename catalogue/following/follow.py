@@ -11,18 +11,18 @@ from scipy.special import logit
 
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.following.causes import follow_causes
-from jointplay.catalogue.following.evidence import read_answer, read_measured, weigh
+from jointplay.catalogue.following.evidence import error_of, read_answer, read_measured, weigh
 from jointplay.catalogue.following.play import (
-    AXIS,
     REPAIRS,
     REPAIRS_OF_WORN,
     SOON,
     YEAR,
     JointBounds,
+    gain_of,
     let_pass,
     median_rate,
     quantiles,
-    time_to,
+    reach,
 )
 from jointplay.catalogue.following.state import CoursePoint, JointFollowed, Repair, WearState
 from jointplay.catalogue.following.teaching import Correction
@@ -32,14 +32,12 @@ from jointplay.solver.arrays import FloatArray
 SURE = 0.9
 """Probability of wear, by all recordings up to then, from which on it is sure."""
 
-ALIKE = 0.15
-"""Standard deviation of ln(clearance) of what every recording of a machine has wrong alike."""
+ALIKE, ALIKE_OF_ERROR = 0.15, 0.5
+"""Standard deviation of ln(clearance) of what every recording of a machine has wrong alike; and the part of the error
+that a recording gives its own clearance which all others share: docs/decisions/0208."""
 
 UNWORN = 0.5
 """Probability of wear below which a joint that was surely worn has been repaired."""
-
-NEVER = 100 * 365.25 * 86400.0
-"""Time, s, beyond which nothing is foretold."""
 
 _SHARES = np.array([0.05, 0.5, 0.95])
 
@@ -80,6 +78,7 @@ def follow(
     sure: dict[str, datetime | None] = dict.fromkeys(names)
     repairs: list[Repair] = []
     moved = np.zeros(len(names))
+    alike = np.zeros(len(names))
     before: datetime | None = None
     for event in events:
         passed = (event.at - before).total_seconds() if before else 0.0
@@ -89,29 +88,34 @@ def follow(
             for joint in sorted(event.joints.keys() | event.repaired):
                 j = names.index(joint)
                 if joint in event.joints:
+                    without = belief[j].sum(axis=(0, 1))
                     belief[j] *= read_measured(event.joints[joint])
                     belief[j] /= belief[j].sum()
+                    alike[j] *= 1.0 - gain_of(without, belief[j].sum(axis=(0, 1)))
                     if float(belief[j].sum(axis=(0, 1))[is_worn[j]].sum()) < UNWORN:
                         sure[joint] = None
                 if joint in event.repaired:
-                    belief[j], sure[joint] = bounds[joint].mended(belief[j]), None
+                    belief[j], sure[joint], alike[j] = bounds[joint].mended(belief[j]), None, 0.0
                     repairs.append(Repair(at=event.at, joint=joint, probability=1.0))
             continue
-        marginal = belief.sum(axis=(1, 2))
-        foretold = [_three(row) for row in marginal]
-        worn_before = (marginal * is_worn).sum(axis=1)
+        without = belief.sum(axis=(1, 2))
+        foretold = [_three(row, own) for row, own in zip(without, alike, strict=True)]
+        worn_before = (without * is_worn).sum(axis=1)
         known = np.array([bool(course) and course[-1].p_worn >= SURE for course in courses.values()])
         expected = REPAIRS * passed + known * (REPAIRS_OF_WORN - REPAIRS) * min(passed, SOON)
         share = -np.expm1(-expected)[:, None, None, None]
         mended = np.array([bounds[name].mended(belief[j]) for j, name in enumerate(names)])
         belief = (1.0 - share) * belief + share * mended
-        belief = belief * weigh(belief, read_answer(taught.apply(event.answer), bounds))
+        answer = taught.apply(event.answer)
+        belief = belief * weigh(belief, read_answer(answer, bounds))
         belief = belief / belief.sum(axis=(1, 2, 3), keepdims=True)
         marginal = belief.sum(axis=(1, 2))
         p_worn = np.minimum((marginal * is_worn).sum(axis=1), 1.0)
         moved = p_worn - worn_before
+        shared = ALIKE_OF_ERROR * np.array([error_of(answer, name) for name in names])
+        alike = alike + gain_of(without, marginal) * (shared - alike)
         for j, name in enumerate(names):
-            low, median, high = _three(marginal[j])
+            low, median, high = _three(marginal[j], alike[j])
             ends = (foretold[j][0], foretold[j][2])
             point = CoursePoint(
                 at=event.at, p_worn=float(p_worn[j]), clearance_um=median, interval_um=(low, high), foretold_um=ends
@@ -126,14 +130,10 @@ def follow(
                 sure[name] = None
     heard = [event for event in events if isinstance(event, Visit)]
     last = events[-1].at
-    joints = {
-        name: _tell(belief[j], bounds[name], last, sure[name], float(moved[j]), tuple(courses[name]))
-        for j, name in enumerate(names)
-    }
     return WearState(
         at=last,
         visits=len(heard),
-        joints=joints,
+        joints=_tell(belief.sum(axis=1), alike, last, bounds, sure, moved, courses),
         causes=follow_causes([(visit.at, visit.answer) for visit in heard]),
         repairs=tuple(repairs),
     )
@@ -159,37 +159,41 @@ def _greatest_fall(course: Sequence[CoursePoint]) -> datetime:
     return course[last + 1 + int(np.diff(odds).argmin())].at
 
 
-def _three(marginal: FloatArray) -> tuple[float, float, float]:
-    """Quantiles 0.05, 0.5 and 0.95 of a clearance, um."""
-    low, median, high = (1e6 * quantiles(marginal, _SHARES, ALIKE)).tolist()
+def _three(marginal: FloatArray, alike: float) -> tuple[float, float, float]:
+    """Quantiles 0.05, 0.5 and 0.95 of a clearance, um, beside so much of its logarithm that recordings have wrong."""
+    low, median, high = (1e6 * quantiles(marginal, _SHARES, math.hypot(ALIKE, alike))).tolist()
     return low, median, high
 
 
 def _tell(
     belief: FloatArray,
-    bounds: JointBounds,
+    alike: FloatArray,
     last: datetime,
-    first_sure_at: datetime | None,
-    moved_by: float,
-    course: tuple[CoursePoint, ...],
-) -> JointFollowed:
-    """What is said of one joint."""
-    belief = belief.sum(axis=0)
-    marginal = belief.sum(axis=0)
-    low, median, high = _three(marginal)
-    early, likely, late = (
-        last + timedelta(seconds=seconds) if seconds < NEVER else None
-        for seconds in time_to(belief, bounds.limit, _SHARES).tolist()
-    )
-    return JointFollowed(
-        p_worn=min(1.0, float(marginal[bounds.worn].sum())),
-        p_over_limit=min(1.0, float(marginal[math.log(bounds.limit) <= AXIS].sum())),
-        clearance_um=median,
-        interval_um=(low, high),
-        um_per_year=1e6 * YEAR * median_rate(belief),
-        limit_um=round(1e6 * bounds.limit, 6),
-        limit_at=(early, likely, late),
-        first_sure_at=first_sure_at,
-        moved_by=moved_by,
-        course=course,
-    )
+    bounds: Mapping[str, JointBounds],
+    sure: Mapping[str, datetime | None],
+    moved: FloatArray,
+    courses: Mapping[str, Sequence[CoursePoint]],
+) -> dict[str, JointFollowed]:
+    """What is said of joints (J, S, X) at last."""
+    limits = np.array([each.limit for each in bounds.values()])
+    over, times = reach(belief, limits, np.hypot(ALIKE, alike), _SHARES)
+    found = {}
+    for j, (name, own) in enumerate(bounds.items()):
+        marginal = belief[j].sum(axis=0)
+        low, median, high = _three(marginal, alike[j])
+        early, likely, late = (
+            last + timedelta(seconds=seconds) if seconds < math.inf else None for seconds in times[j].tolist()
+        )
+        found[name] = JointFollowed(
+            p_worn=min(1.0, float(marginal[own.worn].sum())),
+            p_over_limit=float(over[j]),
+            clearance_um=median,
+            interval_um=(low, high),
+            um_per_year=1e6 * YEAR * median_rate(belief[j]),
+            limit_um=round(1e6 * own.limit, 6),
+            limit_at=(early, likely, late),
+            first_sure_at=sure[name],
+            moved_by=float(moved[j]),
+            course=tuple(courses[name]),
+        )
+    return found

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import csr_array
+from scipy.special import ndtr
 
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.plans.cases import BEYOND_FIT
@@ -49,6 +50,9 @@ CHANGES = 1.0 / YEAR
 REPAIRS, REPAIRS_OF_WORN, SOON = 0.2 / YEAR, 1.0 / YEAR, 0.25 * YEAR
 """How often a joint is made as new without a word, 1/s; one that was surely worn by the recording before, and for how
 long after that, s."""
+
+NEVER = 100.0 * YEAR
+"""Time, s, beyond which nothing is foretold."""
 
 WORN_AT_FIRST = 0.1
 """Probability of a joint to be worn when nothing is known of it."""
@@ -95,6 +99,10 @@ def _seen_at() -> IntArray:
 
 SEEN_AT: IntArray = _seen_at()
 """Place on the grid at which each clearance is seen with each excess, (D, X)."""
+
+
+_MOMENTS: FloatArray = np.concatenate([[0.0], np.geomspace(3600.0, NEVER, 60)])
+"""Times, s, at which it is looked at what joints have become: a quarter apart."""
 
 
 @dataclass(frozen=True)
@@ -198,19 +206,38 @@ def quantiles(marginal: FloatArray, shares: FloatArray, blur: float = 0.0) -> Fl
     return found
 
 
-def time_to(belief: FloatArray, clearance: float, shares: FloatArray) -> FloatArray:
-    """Return the times (m,), s, by which a joint (S, X) has reached a clearance with probabilities (m,), at its rate.
+def gain_of(without: FloatArray, marginal: FloatArray) -> FloatArray:
+    """Return the part of what is known of clearances (..., X) that came by what made one belief into another, (...).
 
-    Infinite where it does not.
+    As a Kalman filter's gain: by how much the variance of ln(clearance) fell; 0 where it rose.
     """
-    away = np.maximum(clearance - np.exp(AXIS), 0.0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        times = np.where(away == 0.0, 0.0, away[None, :] / RATES[:, None])
-    order = np.argsort(times, axis=None)
-    below = np.cumsum(belief.reshape(-1)[order])
-    places = np.searchsorted(below, shares * below[-1])
-    found: FloatArray = times.reshape(-1)[order][np.minimum(places, len(order) - 1)]
-    return found
+    before, after = (
+        np.sum(each * AXIS**2, axis=-1) - np.sum(each * AXIS, axis=-1) ** 2 for each in (without, marginal)
+    )
+    return np.asarray(np.clip((before - after) / np.maximum(before, 1e-12), 0.0, 1.0))
+
+
+def reach(
+    belief: FloatArray, clearances: FloatArray, alike: FloatArray, shares: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the probabilities (J,) that joints (J, S, X) have reached clearances (J,), in m, and when they will have.
+
+    The latter with probabilities (m,): times (J, m), s, infinite beyond a century. Joints go on as they do, and some
+    begin to grow at another rate; nobody mends them.
+
+    Parameters
+    ----------
+    alike : ndarray, shape (J,)
+        Standard deviation of ln(clearance) of what every recording has wrong alike.
+    """
+    over = ndtr((AXIS - np.log(clearances)[:, None]) / alike[:, None])
+    reached = [np.sum(belief.sum(axis=-2) * over, axis=-1)]
+    for seconds in np.diff(_MOMENTS).tolist():
+        belief = let_pass(belief, seconds)
+        reached.append(np.sum(belief.sum(axis=-2) * over, axis=-1))
+    course = np.maximum.accumulate(np.array(reached))  # never back by a rounding
+    times = [np.interp(shares, each, _MOMENTS, right=math.inf) for each in course.T]
+    return np.minimum(course[0], 1.0), np.array(times)
 
 
 def median_rate(belief: FloatArray) -> float:

@@ -112,8 +112,9 @@ def test_a_worn_asset_from_its_first_recording_to_its_repair(service: httpx.Clie
     deep = re.compile(r"rgb\([\d ]+ / (1|0\.[5-9])")
     assert deep.search(service.get("/assets/life-1").text)
     body = {"joints": {"B": {"clearance_um": 150, "repaired": True}}, "at": (moment + timedelta(hours=1)).isoformat()}
+    put(service, "life-1", limits_um={"B": 1000})  # before it: silent and repaired, it would be told as unknown first
+    assert [reason["about"] for reason in standing(service, "life-1")["reasons"]] == ["joint B"]
     service.post(f"{API}/diagnoses/{answer['id']}/finding", json=body).raise_for_status()
-    put(service, "life-1")
     found = standing(service, "life-1")
     assert (found["state"], found["reasons"]) == ("in_order", [])
     event, data = told(listener)

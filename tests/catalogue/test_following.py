@@ -15,8 +15,9 @@ from lives import BEGIN, BOUNDS, JOINTS, answer, course_of_wear
 from jointplay.catalogue.diagnosing.answer import Cause, SensorFlaw
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.following import follow as following
+from jointplay.catalogue.following import play
 from jointplay.catalogue.following.follow import follow
-from jointplay.catalogue.following.play import AXIS, RATES, STEP, YEAR, bounds_of, let_pass, quantiles, time_to
+from jointplay.catalogue.following.play import AXIS, RATES, STEP, YEAR, bounds_of, gain_of, let_pass, quantiles, reach
 from jointplay.catalogue.following.state import CoursePoint, WearState
 from jointplay.catalogue.following.visits import Inspection, Visit
 from jointplay.solver.machines.machine import parse_machine, shipped_machine
@@ -278,15 +279,51 @@ def test_time_moves_a_clearance_by_its_rate_and_never_back() -> None:
     assert np.array_equal(let_pass(belief, 0.0), belief)
 
 
-def test_time_to_a_limit() -> None:
-    belief = np.zeros((len(RATES), len(AXIS)))
+def test_when_a_limit_is_reached(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At the joint's rate, as far as it keeps that, and beside what all recordings have wrong alike."""
+    belief = np.zeros((2, len(RATES), len(AXIS)))
     place = np.searchsorted(AXIS, math.log(50e-6))
-    belief[10, place], belief[0, place] = 0.6, 0.4
-    away = 200e-6 - math.exp(AXIS[place])
-    early, late = time_to(belief, 200e-6, np.array([0.5, 0.95])).tolist()
-    assert early == pytest.approx(away / RATES[10])
-    assert math.isinf(late)
-    assert time_to(belief, 40e-6, np.array([0.5])).tolist() == [0.0]
+    belief[:, 10, place], belief[:, 0, place] = 0.6, 0.4
+    limits, shares = np.array([200e-6, 40e-6]), np.array([0.05, 0.5, 0.95])
+    seconds = (200e-6 - math.exp(AXIS[place])) / RATES[10]
+    over, changing = reach(belief, limits, np.full(2, 1e-3), shares)
+    assert over.tolist() == pytest.approx([0.0, 1.0], abs=1e-9)
+    assert changing[1].tolist() == [0.0, 0.0, 0.0]
+    assert changing[0, 0] < changing[0, 1] < changing[0, 2] < math.inf
+    monkeypatch.setattr(play, "CHANGES", 0.0)
+    _, steady = reach(belief, limits, np.full(2, 1e-3), shares)
+    assert steady[0, :2].tolist() == pytest.approx([seconds, seconds], rel=0.25)  # as far as moments are apart
+    assert math.isinf(steady[0, 2])
+    nearly, doubted = reach(belief, limits, np.full(2, 0.5), shares)
+    assert nearly[0] == pytest.approx(0.5 * math.erfc(math.log(200e-6 / math.exp(AXIS[place])) / 0.5 / math.sqrt(2.0)))
+    assert doubted[0, 0] < 0.7 * steady[0, 0]
+
+
+def test_what_answers_have_wrong_alike_many_of_them_do_not_cure() -> None:
+    """All of a machine's answers may put a joint at half its clearance, if they say that they err by that."""
+    said = [answer({"A": -6.0, "B": 6.0, "O": -6.0}, {**AS_NEW, "B": 150e-6}, width=w) for w in (0.15, 1.5)]
+    sharp, wide = (
+        followed([Visit(BEGIN + timedelta(days=n), f"{n:064d}", each) for n in range(20)]).joints["B"] for each in said
+    )
+    assert math.log(sharp.interval_um[1] / sharp.interval_um[0]) < 0.6
+    assert wide.interval_um[0] < 150.0 * math.exp(-0.5 * 1.5) and wide.interval_um[1] > 150.0 * math.exp(0.5 * 1.5)
+    visits = [Visit(BEGIN + timedelta(days=n), f"{n:064d}", said[1]) for n in range(20)]
+    found = Inspection(visits[-1].at + timedelta(minutes=1), {"B": 250e-6})
+    measured = followed(visits, [found]).joints["B"]
+    assert measured.interval_um[0] > 0.7 * 250.0 and measured.interval_um[1] < 1.4 * 250.0
+    # Nor does what comes after it make less known than that, for as long as it cannot have worn much.
+    later = followed([*visits, Visit(found.at + timedelta(hours=1), f"{99:064d}", said[1])], [found]).joints["B"]
+    assert later.interval_um[0] > 0.7 * 250.0 and later.interval_um[1] < 1.4 * 250.0
+
+
+def test_a_gain_is_the_part_by_which_variance_fell() -> None:
+    wide, narrow = (np.exp(-0.5 * ((AXIS - AXIS[100]) / width) ** 2) for width in (0.4, 0.2))
+    certain = np.eye(len(AXIS))[100]
+    rows = [row / row.sum() for row in (wide, narrow, certain)]
+    assert gain_of(np.array([rows[0], rows[1], rows[0]]), np.array([rows[1], rows[0], rows[2]])) == pytest.approx(
+        [0.75, 0.0, 1.0], abs=1e-6
+    )
+    assert gain_of(rows[2], rows[2]) == 0.0
 
 
 def test_quantiles_are_blurred_by_what_all_recordings_have_wrong() -> None:
