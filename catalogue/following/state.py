@@ -49,7 +49,7 @@ class JointFollowed(Frozen):
     limit_um : float
         From which on it is worn out.
     limit_at : (datetime or None, datetime or None, datetime or None)
-        When it has reached that with probabilities of 0.05, 0.5 and 0.95, at its rates now; None: not within a century.
+        When it has reached that with probabilities of 0.05, 0.5 and 0.95, if not mended; None: not within a century.
     first_sure_at : datetime or None
         First recording from which on wear was sure, since the last repair.
     moved_by : float
