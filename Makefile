@@ -6,7 +6,7 @@ STAMP  := $(VENV)/.installed
 # Test processes, for two cores: tests that wait (browsers, servers, limits of time) leave room for a third. A compiled
 # simulation takes up to 1 GB while it is being compiled.
 WORKERS ?= 3
-# Where this is set (containers often do), every process that tests start compiles all modules anew: 3 s of 4 of a server.
+# Where this is set (containers often do), every process that tests start compiles all modules anew: 5 s of 8 of a server.
 unexport PYTHONDONTWRITEBYTECODE
 # Files of tests that compile nothing and build no catalogue, for make quick.
 QUICK := $(addprefix tests/, docs/test_docs_pages.py \
