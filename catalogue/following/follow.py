@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 
 import numpy as np
 from scipy.special import logit
 
+from jointplay.catalogue.diagnosing.answer import Answer
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.following.causes import follow_causes
 from jointplay.catalogue.following.evidence import error_of, read_answer, read_measured, weigh
@@ -69,73 +71,23 @@ def follow(
     DiagnosisError
         There is no recording, a time has no zone, or something is said of a joint that is not known.
     """
-    names, taught = list(bounds), correction or Correction()
-    _check(visits, inspections, names)
+    _check(visits, inspections, list(bounds))
+    taught = correction or Correction()
     events = put_in_order(visits, inspections)
-    belief = np.array([bounds[name].at_first() for name in names])
-    is_worn = np.array([bounds[name].worn for name in names])
-    courses: dict[str, list[CoursePoint]] = {name: [] for name in names}
-    sure: dict[str, datetime | None] = dict.fromkeys(names)
-    repairs: list[Repair] = []
-    moved = np.zeros(len(names))
-    alike = np.zeros(len(names))
-    before: datetime | None = None
+    following = _Following.begin(bounds)
     for event in events:
-        passed = (event.at - before).total_seconds() if before else 0.0
-        before = event.at
-        belief = let_pass(belief, passed)
+        passed = following.pass_until(event.at)
         if isinstance(event, Inspection):
-            for joint in sorted(event.joints.keys() | event.repaired):
-                j = names.index(joint)
-                if joint in event.joints:
-                    without = belief[j].sum(axis=(0, 1))
-                    belief[j] *= read_measured(event.joints[joint])
-                    belief[j] /= belief[j].sum()
-                    alike[j] *= 1.0 - gain_of(without, belief[j].sum(axis=(0, 1)))
-                    if float(belief[j].sum(axis=(0, 1))[is_worn[j]].sum()) < UNWORN:
-                        sure[joint] = None
-                if joint in event.repaired:
-                    belief[j], sure[joint], alike[j] = bounds[joint].mended(belief[j]), None, 0.0
-                    repairs.append(Repair(at=event.at, joint=joint, probability=1.0))
-            continue
-        without = belief.sum(axis=(1, 2))
-        foretold = [_three(row, own) for row, own in zip(without, alike, strict=True)]
-        worn_before = (without * is_worn).sum(axis=1)
-        known = np.array([bool(course) and course[-1].p_worn >= SURE for course in courses.values()])
-        expected = REPAIRS * passed + known * (REPAIRS_OF_WORN - REPAIRS) * min(passed, SOON)
-        share = -np.expm1(-expected)[:, None, None, None]
-        mended = np.array([bounds[name].mended(belief[j]) for j, name in enumerate(names)])
-        belief = (1.0 - share) * belief + share * mended
-        answer = taught.apply(event.answer)
-        belief = belief * weigh(belief, read_answer(answer, bounds))
-        belief = belief / belief.sum(axis=(1, 2, 3), keepdims=True)
-        marginal = belief.sum(axis=(1, 2))
-        p_worn = np.minimum((marginal * is_worn).sum(axis=1), 1.0)
-        moved = p_worn - worn_before
-        shared = ALIKE_OF_ERROR * np.array([error_of(answer, name) for name in names])
-        alike = alike + gain_of(without, marginal) * (shared - alike)
-        for j, name in enumerate(names):
-            low, median, high = _three(marginal[j], alike[j])
-            ends = (foretold[j][0], foretold[j][2])
-            point = CoursePoint(
-                at=event.at, p_worn=float(p_worn[j]), clearance_um=median, interval_um=(low, high), foretold_um=ends
-            )
-            courses[name].append(point)
-            if p_worn[j] >= SURE:
-                sure[name] = sure[name] or event.at
-            elif p_worn[j] < UNWORN:
-                if sure[name]:
-                    at = _greatest_fall(courses[name])
-                    repairs.append(Repair(at=at, joint=name, probability=1.0 - float(p_worn[j])))
-                sure[name] = None
+            following.inspect(event)
+        else:
+            following.hear(taught.apply(event.answer), passed)
     heard = [event for event in events if isinstance(event, Visit)]
-    last = events[-1].at
     return WearState(
-        at=last,
+        at=events[-1].at,
         visits=len(heard),
-        joints=_tell(belief.sum(axis=1), alike, last, bounds, sure, moved, courses),
+        joints=following.tell(events[-1].at),
         causes=follow_causes([(visit.at, visit.answer) for visit in heard]),
-        repairs=tuple(repairs),
+        repairs=tuple(following.repairs),
     )
 
 
@@ -152,48 +104,170 @@ def _check(visits: Sequence[Visit], inspections: Sequence[Inspection], names: Se
                 raise DiagnosisError(f"inspection: joints.{joint}: must be one of {', '.join(names)}")
 
 
-def _greatest_fall(course: Sequence[CoursePoint]) -> datetime:
-    """Moment of the recording, after the last one that was sure of wear, that said most against it."""
-    last = max(place for place, point in enumerate(course) if point.p_worn >= SURE)
-    odds = logit(np.clip([point.p_worn for point in course[last:]], 1e-9, 1.0 - 1e-9))
-    return course[last + 1 + int(np.diff(odds).argmin())].at
+@dataclass(eq=False)
+class _Joint:
+    """What is kept of a joint besides what is believed of its clearance.
+
+    Parameters
+    ----------
+    bounds : JointBounds
+    alike : float
+        Standard deviation of ln(clearance) of what its recordings have wrong by a share of their own errors.
+    moved : float
+        By how much the last recording has changed P(worn).
+    sure_since : datetime or None
+    course : list of CoursePoint
+    """
+
+    bounds: JointBounds
+    alike: float = 0.0
+    moved: float = 0.0
+    sure_since: datetime | None = None
+    course: list[CoursePoint] = field(default_factory=list)
+
+    @property
+    def error(self) -> float:
+        """Standard deviation of ln(clearance) of all that its recordings have wrong alike."""
+        return math.hypot(ALIKE, self.alike)
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether the last recording was sure of wear."""
+        return bool(self.course) and self.course[-1].p_worn >= SURE
+
+    def p_worn(self, marginal: FloatArray) -> float:
+        """Probability of wear by that of clearances (X,)."""
+        return min(1.0, float(marginal[self.bounds.worn].sum()))
+
+    def three(self, marginal: FloatArray) -> tuple[float, float, float]:
+        """Quantiles 0.05, 0.5 and 0.95 of the clearance, um, by its probability (X,)."""
+        low, median, high = (1e6 * quantiles(marginal, _SHARES, self.error)).tolist()
+        return low, median, high
+
+    def when_mended(self) -> datetime:
+        """Moment of the recording, after the last one that was sure of wear, that said most against it."""
+        last = max(place for place, point in enumerate(self.course) if point.p_worn >= SURE)
+        odds = logit(np.clip([point.p_worn for point in self.course[last:]], 1e-9, 1.0 - 1e-9))
+        return self.course[last + 1 + int(np.diff(odds).argmin())].at
 
 
-def _three(marginal: FloatArray, alike: float) -> tuple[float, float, float]:
-    """Quantiles 0.05, 0.5 and 0.95 of a clearance, um, beside so much of its logarithm that recordings have wrong."""
-    low, median, high = (1e6 * quantiles(marginal, _SHARES, math.hypot(ALIKE, alike))).tolist()
-    return low, median, high
+@dataclass(eq=False)
+class _Following:
+    """A machine, while what happened to it is gone through in the order of time.
+
+    Parameters
+    ----------
+    joints : mapping of str to _Joint
+    belief : ndarray, shape (J, D, S, X)
+        What is believed of all joints.
+    at : datetime or None
+        Of what happened last.
+    repairs : list of Repair
+    """
+
+    joints: Mapping[str, _Joint]
+    belief: FloatArray
+    at: datetime | None = None
+    repairs: list[Repair] = field(default_factory=list)
+
+    @classmethod
+    def begin(cls, bounds: Mapping[str, JointBounds]) -> _Following:
+        """A machine of which nothing is known."""
+        belief = np.array([own.at_first() for own in bounds.values()])
+        return cls({name: _Joint(own) for name, own in bounds.items()}, belief)
+
+    def pass_until(self, at: datetime) -> float:
+        """Let joints wear until a moment, and return the time that has passed, s."""
+        passed = (at - self.at).total_seconds() if self.at else 0.0
+        self.belief, self.at = let_pass(self.belief, passed), at
+        return passed
+
+    def inspect(self, found: Inspection) -> None:
+        """Hear what somebody has measured, and mended."""
+        for name, joint, belief in zip(self.joints, self.joints.values(), self.belief, strict=True):
+            if name in found.joints:
+                without = _marginal(belief)
+                belief *= read_measured(found.joints[name])
+                belief /= belief.sum()
+                joint.alike *= 1.0 - float(gain_of(without, _marginal(belief)))
+                if joint.p_worn(_marginal(belief)) < UNWORN:
+                    joint.sure_since = None
+            if name in found.repaired:
+                belief[:] = joint.bounds.mended(belief)
+                joint.alike, joint.sure_since = 0.0, None
+                self.repairs.append(Repair(at=found.at, joint=name, probability=1.0))
+
+    def hear(self, answer: Answer, passed: float) -> None:
+        """Hear an answer to a recording, so many seconds after what happened before."""
+        assert self.at is not None
+        without = _marginal(self.belief)
+        self._let_mend(passed)
+        self.belief = self.belief * weigh(self.belief, read_answer(answer, self.bounds))
+        self.belief = self.belief / self.belief.sum(axis=(1, 2, 3), keepdims=True)
+        marginal = _marginal(self.belief)
+        gains = gain_of(without, marginal)
+        for j, (name, joint) in enumerate(self.joints.items()):
+            p_worn, foretold = joint.p_worn(marginal[j]), joint.three(without[j])
+            joint.moved = p_worn - joint.p_worn(without[j])
+            joint.alike += float(gains[j]) * (ALIKE_OF_ERROR * error_of(answer, name) - joint.alike)
+            low, median, high = joint.three(marginal[j])
+            joint.course.append(
+                CoursePoint(
+                    at=self.at,
+                    p_worn=p_worn,
+                    clearance_um=median,
+                    interval_um=(low, high),
+                    foretold_um=(foretold[0], foretold[2]),
+                )
+            )
+            if p_worn >= SURE:
+                joint.sure_since = joint.sure_since or self.at
+            elif p_worn < UNWORN:
+                if joint.sure_since:
+                    self.repairs.append(Repair(at=joint.when_mended(), joint=name, probability=1.0 - p_worn))
+                joint.sure_since = None
+
+    @property
+    def bounds(self) -> dict[str, JointBounds]:
+        """Of all joints."""
+        return {name: joint.bounds for name, joint in self.joints.items()}
+
+    def _let_mend(self, passed: float) -> None:
+        """Let joints have been mended without a word in a time, s."""
+        known = np.array([joint.is_sure for joint in self.joints.values()])
+        expected = REPAIRS * passed + known * (REPAIRS_OF_WORN - REPAIRS) * min(passed, SOON)
+        share = -np.expm1(-expected)[:, None, None, None]
+        each = zip(self.joints.values(), self.belief, strict=True)
+        mended = np.array([joint.bounds.mended(belief) for joint, belief in each])
+        self.belief = (1.0 - share) * self.belief + share * mended
+
+    def tell(self, last: datetime) -> dict[str, JointFollowed]:
+        """What is said of all joints at last."""
+        belief = self.belief.sum(axis=1)
+        limits = np.array([joint.bounds.limit for joint in self.joints.values()])
+        over, times = reach(belief, limits, np.array([joint.error for joint in self.joints.values()]), _SHARES)
+        found = {}
+        for j, (name, joint) in enumerate(self.joints.items()):
+            marginal = belief[j].sum(axis=0)
+            low, median, high = joint.three(marginal)
+            early, likely, late = (
+                last + timedelta(seconds=seconds) if seconds < math.inf else None for seconds in times[j].tolist()
+            )
+            found[name] = JointFollowed(
+                p_worn=joint.p_worn(marginal),
+                p_over_limit=float(over[j]),
+                clearance_um=median,
+                interval_um=(low, high),
+                um_per_year=1e6 * YEAR * median_rate(belief[j]),
+                limit_um=round(1e6 * joint.bounds.limit, 6),
+                limit_at=(early, likely, late),
+                first_sure_at=joint.sure_since,
+                moved_by=joint.moved,
+                course=tuple(joint.course),
+            )
+        return found
 
 
-def _tell(
-    belief: FloatArray,
-    alike: FloatArray,
-    last: datetime,
-    bounds: Mapping[str, JointBounds],
-    sure: Mapping[str, datetime | None],
-    moved: FloatArray,
-    courses: Mapping[str, Sequence[CoursePoint]],
-) -> dict[str, JointFollowed]:
-    """What is said of joints (J, S, X) at last."""
-    limits = np.array([each.limit for each in bounds.values()])
-    over, times = reach(belief, limits, np.hypot(ALIKE, alike), _SHARES)
-    found = {}
-    for j, (name, own) in enumerate(bounds.items()):
-        marginal = belief[j].sum(axis=0)
-        low, median, high = _three(marginal, alike[j])
-        early, likely, late = (
-            last + timedelta(seconds=seconds) if seconds < math.inf else None for seconds in times[j].tolist()
-        )
-        found[name] = JointFollowed(
-            p_worn=min(1.0, float(marginal[own.worn].sum())),
-            p_over_limit=float(over[j]),
-            clearance_um=median,
-            interval_um=(low, high),
-            um_per_year=1e6 * YEAR * median_rate(belief[j]),
-            limit_um=round(1e6 * own.limit, 6),
-            limit_at=(early, likely, late),
-            first_sure_at=sure[name],
-            moved_by=float(moved[j]),
-            course=tuple(courses[name]),
-        )
-    return found
+def _marginal(belief: FloatArray) -> FloatArray:
+    """Probability (..., X) of clearances by what is believed of them (..., D, S, X)."""
+    return np.asarray(belief.sum(axis=(-3, -2)))

@@ -139,9 +139,13 @@ def test_a_repair_was_where_wear_fell_most() -> None:
         CoursePoint(at=BEGIN + timedelta(days=day), p_worn=p, clearance_um=1, interval_um=(1, 1), foretold_um=(1, 1))
         for day, p in enumerate((0.2, 0.95, 0.97, 0.88, 0.22, 0.3))
     ]
-    assert following._greatest_fall(course) == BEGIN + timedelta(days=4)
-    assert following._greatest_fall([*course[:3], course[4]]) == BEGIN + timedelta(days=4)
-    assert following._greatest_fall([*course[:3], course[0], course[4]]) == BEGIN
+
+    def mended(course: list[CoursePoint]) -> datetime:
+        return following._Joint(BOUNDS["B"], course=course).when_mended()
+
+    assert mended(course) == BEGIN + timedelta(days=4)
+    assert mended([*course[:3], course[4]]) == BEGIN + timedelta(days=4)
+    assert mended([*course[:3], course[0], course[4]]) == BEGIN
 
 
 def test_a_repair_is_seen() -> None:
