@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Protocol, Self
+from typing import NamedTuple, Protocol, Self
 
 import numpy as np
 from scipy.linalg.lapack import dpotrf
@@ -23,10 +23,6 @@ from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.parts import Mount
 from jointplay.solver.spectra.bands import FEATURE_ORDERS
 
-#: Factors on the stiffness of mounts that a search starts from.
-STIFFNESSES = (0.02, 0.1, 0.3, 0.5, 0.7, 1.3, 2.0)
-#: Factors on the mass of the frame that a search starts from.
-MASSES = (0.5, 0.65, 0.8, 1.2, 1.5, 2.0)
 #: Standard deviation of the logarithm of a second factor, of damping or inertia, from what it usually is.
 SECOND_FACTOR = 0.3
 
@@ -45,6 +41,10 @@ class Family(Protocol):
     @property
     def starts(self) -> FloatArray:
         """Numbers (n, p) of the members that a search starts from."""
+
+    @property
+    def least(self) -> float:
+        """Norm of the numbers of the least change that is no small one."""
 
     def size(self, numbers: FloatArray) -> float:
         """What one member (p,) is told by."""
@@ -82,6 +82,10 @@ class _Forces:
     def starts(self) -> FloatArray:
         return self.wrench.starts
 
+    @property
+    def least(self) -> float:
+        return float(np.linalg.norm(self.starts, axis=1).min())
+
     def size(self, numbers: FloatArray) -> float:
         own = float(numbers[0]) if len(numbers) == 1 else float(np.linalg.norm(numbers))
         return self.wrench.none + own
@@ -101,6 +105,23 @@ class _Forces:
         return power_of(np.asarray(np.tensordot(numbers, self.basis, 1), np.complex128))
 
 
+class _Kind(NamedTuple):
+    """Unit, factors that a search starts from, the usual power of the second one, and the least that is not small."""
+
+    unit: str
+    factors: Sequence[float]
+    usual: float
+    small: float
+
+
+#: Where a resonance lies on an order, a valley is a tenth wide, and rubber is softer by so much on a warm day. What is
+#: softer damps less, and a frame that is lighter is easier to turn.
+_STIFFNESS = _Kind(
+    "x stiffness", (0.02, 0.1, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.1, 1.2, 1.35, 1.5, 1.75, 2.0), usual=0.5, small=1.3
+)
+_MASS = _Kind("x mass", (0.5, 0.65, 0.8, 0.9, 1.1, 1.2, 1.5, 2.0), usual=1.0, small=1.2)
+
+
 @dataclass(frozen=True, eq=False)
 class _Factor:
     """The frame or its supports: numbers of the machine with two factors, given by their logarithms.
@@ -113,18 +134,18 @@ class _Factor:
     unit: str
     starts: FloatArray
     usual: float
+    least: float
     numbers: Callable[[float, float], dict[str, float]]
     own: ComplexArray
     parts: tuple[ComplexArray, ComplexArray]
 
     @classmethod
-    def of(
-        cls, name: str, kind: tuple[str, FloatArray, float], model: IdealFrame, numbers: Callable[..., dict[str, float]]
-    ) -> _Factor:
-        """A family of a kind: unit, starts, and the usual power of the second factor."""
-        unit, starts, usual = kind
+    def of(cls, name: str, kind: _Kind, model: IdealFrame, numbers: Callable[..., dict[str, float]]) -> _Factor:
+        """A family of a kind."""
         each = [np.linalg.inv(model.with_numbers(numbers(*two))) - model.inverse for two in ((2.0, 1.0), (1.0, 2.0))]
-        return cls(name, unit, starts, usual, numbers, model.inverse, (each[0], each[1]))
+        both = np.array([1.0, kind.usual])
+        starts, least = np.log(kind.factors)[:, None] * both, math.log(kind.small) * float(np.linalg.norm(both))
+        return cls(name, kind.unit, starts, kind.usual, least, numbers, model.inverse, (each[0], each[1]))
 
     def size(self, numbers: FloatArray) -> float:
         return math.exp(float(numbers[0]))
@@ -202,13 +223,10 @@ def _move(accelerance: ComplexArray, wrench: Wrench, speed: float) -> ComplexArr
 def families_of(model: IdealFrame) -> Iterator[Family]:
     """Yield every family that a machine may have."""
     machine = model.machine
-    # Rubber that is softer damps less, and a frame that is lighter is easier to turn.
-    stiffness = ("x stiffness", np.log(STIFFNESSES)[:, None] * [1.0, 0.5], 0.5)
-    mass = ("x mass", np.log(MASSES)[:, None] * [1.0, 1.0], 1.0)
     mounts = [index for index, support in enumerate(machine.supports) if isinstance(support, Mount)]
     for name, group in [*((f"mount {index}", [index]) for index in mounts), ("all mounts", mounts)]:
-        yield _Factor.of(name, stiffness, model, partial(_mounts, machine, group))
-    yield _Factor.of(f"mass of {machine.frame}", mass, model, partial(_frame, machine))
+        yield _Factor.of(name, _STIFFNESS, model, partial(_mounts, machine, group))
+    yield _Factor.of(f"mass of {machine.frame}", _MASS, model, partial(_frame, machine))
     for family in model.wrenches:
         yield forces_of(model, family)
 

@@ -98,7 +98,7 @@ def name_causes(
     worn : sequence of (label, rows)
         Worn machines that the recording's may be, besides those in order: hypothesis and nearest entries.
     small : bool
-        Whether anything is named where what explains best is a change smaller than any that a search starts from.
+        Whether anything is named where what explains best is a small change.
 
     Returns
     -------
@@ -170,10 +170,8 @@ class _Scored:
 
     @property
     def is_small(self) -> bool:
-        """Whether this is a change, and less of one than the smallest that a search starts from."""
-        if self.family is None:
-            return False
-        return bool(np.linalg.norm(self.numbers) < np.linalg.norm(self.family.starts, axis=1).min())
+        """Whether this is a change, and a small one."""
+        return self.family is not None and bool(np.linalg.norm(self.numbers) < self.family.least)
 
     @property
     def is_meant(self) -> bool:

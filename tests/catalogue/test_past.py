@@ -118,6 +118,17 @@ def test_a_mount_that_is_little_softer_is_named(
     assert not any(cause.name == "mount 1" for cause in name_causes(visits["softer"], small_catalogue, small=True))
 
 
+def test_warm_mounts_are_named(small_catalogue: Catalogue) -> None:
+    """Between nothing and the next of few starts lies a valley: a link that is heavier by a half was named."""
+    first, now = (off_by(small_catalogue, (1.0,) * len(OFF), speed) for speed in (1.0, 1.006))
+    paths = [f"supports.{place}.stiffness.{axis}" for place in (0, 1) for axis in (0, 1)]
+    softer = {path: 0.87 * now.parameters[path] for path in paths}
+    warm = dataclasses.replace(now, parameters={**now.parameters, **softer})
+    before, after = recordings(small_catalogue, [first, warm])
+    cause = name_changes(beside(small_catalogue, after, before).expected, small_catalogue)[0]
+    assert cause.name == "all mounts" and cause.size == pytest.approx(0.87, abs=0.05) and cause.probability > 0.9
+
+
 def test_several_recordings_narrow_what_is_expected(
     small_catalogue: Catalogue, visits: dict[str, PreparedMeasurement]
 ) -> None:
