@@ -34,7 +34,7 @@ from jointplay.solver.arrays import FloatArray
 SURE = 0.9
 """Probability of wear, by all recordings up to then, from which on it is sure."""
 
-ALIKE, ALIKE_OF_ERROR = 0.15, 0.5
+ALIKE, ALIKE_OF_ERROR = 0.15, 0.85
 """Standard deviation of ln(clearance) of what every recording of a machine has wrong alike; and the part of the error
 that a recording gives its own clearance which all others share: docs/decisions/0208."""
 

@@ -14,6 +14,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.signal import lfilter
 from scipy.sparse import csr_array
 from scipy.special import ndtr
 
@@ -46,6 +47,10 @@ YEAR = 365.25 * 86400.0
 
 CHANGES = 1.0 / YEAR
 """How often a joint begins to wear at another rate, 1/s."""
+
+JUMPS, JUMP = 1.0 / YEAR, 0.5
+"""How often a worn joint suddenly has more play, 1/s, and how much larger ln(clearance) then is in the mean: surfaces
+break out, bushes come loose."""
 
 REPAIRS, REPAIRS_OF_WORN, SOON = 0.2 / YEAR, 1.0 / YEAR, 0.25 * YEAR
 """How often a joint is made as new without a word, 1/s; one that was surely worn by the recording before, and for how
@@ -100,6 +105,9 @@ def _seen_at() -> IntArray:
 SEEN_AT: IntArray = _seen_at()
 """Place on the grid at which each clearance is seen with each excess, (D, X)."""
 
+
+_WORN, _NEXT = int(np.searchsorted(AXIS, math.log(ClearanceRange().low))), math.exp(-STEP / JUMP)
+"""Place of the least clearance that may be wear; part of the jumps that go on from a clearance to the next."""
 
 _MOMENTS: FloatArray = np.concatenate([[0.0], np.geomspace(3600.0, NEVER, 60)])
 """Times, s, at which it is looked at what joints have become: a quarter apart."""
@@ -170,12 +178,18 @@ def bounds_of(machine: Machine, joints: Iterable[str]) -> dict[str, JointBounds]
 def let_pass(belief: FloatArray, seconds: float) -> FloatArray:
     """Return what is believed of joints (..., S, X) some time later, if nobody mends them.
 
-    Each grows at its rate; some begin to grow at another one. What would grow beyond the grid stays at its end.
+    Each grows at its rate; some begin to grow at another one, and some that are worn jump. What would grow beyond the
+    grid stays at its end.
     """
     if seconds <= 0.0:
         return belief
     change = 1.0 - math.exp(-CHANGES * seconds)
     mixed = (1.0 - change) * belief + change * LIKELY_RATES[:, None] * belief.sum(axis=-2, keepdims=True)
+    worn = mixed[..., _WORN:]
+    jumped, stays = lfilter([1.0 - _NEXT], [1.0, -_NEXT], worn, axis=-1), math.exp(-JUMPS * seconds)
+    jumped[..., -1] += worn.sum(axis=-1) - jumped.sum(axis=-1)
+    worn *= stays
+    worn += (1.0 - stays) * jumped
     size, places = len(AXIS), np.arange(len(AXIS))
     reached = np.log(np.exp(AXIS) + RATES[:, None] * seconds)
     place = np.clip((reached - AXIS[0]) / STEP, places, size - 1.0)  # never back by a rounding

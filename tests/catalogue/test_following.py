@@ -268,7 +268,8 @@ def test_fits_beyond_what_is_followed_are_refused() -> None:
         bounds_of(wide, ["B"])
 
 
-def test_time_moves_a_clearance_by_its_rate_and_never_back() -> None:
+def test_time_moves_a_clearance_by_its_rate_and_never_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(play, "JUMPS", 0.0)
     belief = np.zeros((1, len(RATES), len(AXIS)))
     start, rate = np.searchsorted(AXIS, math.log(50e-6)), 12
     belief[0, rate, start] = 1.0
@@ -283,6 +284,22 @@ def test_time_moves_a_clearance_by_its_rate_and_never_back() -> None:
     assert np.array_equal(let_pass(belief, 0.0), belief)
 
 
+def test_worn_joints_jump_now_and_then(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By half of ln(clearance) in the mean; what is no wear does not, and nothing leaves the grid."""
+    monkeypatch.setattr(play, "CHANGES", 0.0)
+    belief = np.zeros((3, len(RATES), len(AXIS)))
+    places = np.searchsorted(AXIS, np.log([15e-6, 50e-6, 5e-3]))
+    belief[range(3), 0, places] = 1.0  # at rest
+    later = let_pass(belief, 0.5 / play.JUMPS)
+    assert later.sum(axis=(1, 2)) == pytest.approx([1.0, 1.0, 1.0])
+    assert later[0, 0, places[0]] == 1.0
+    jumped = 1.0 - math.exp(-0.5)
+    assert later[1, 0] @ (AXIS - AXIS[places[1]]) == pytest.approx(jumped * play.JUMP, rel=0.1)
+    assert later[1, 0, places[1]] == pytest.approx(1.0 - jumped, abs=0.05)
+    assert later[1, 0, : places[1]].sum() == 0.0
+    assert later[2, 0, -1] > 0.25
+
+
 def test_when_a_limit_is_reached(monkeypatch: pytest.MonkeyPatch) -> None:
     """At the joint's rate, as far as it keeps that, and beside what all recordings have wrong alike."""
     belief = np.zeros((2, len(RATES), len(AXIS)))
@@ -295,6 +312,7 @@ def test_when_a_limit_is_reached(monkeypatch: pytest.MonkeyPatch) -> None:
     assert changing[1].tolist() == [0.0, 0.0, 0.0]
     assert changing[0, 0] < changing[0, 1] < changing[0, 2] < math.inf
     monkeypatch.setattr(play, "CHANGES", 0.0)
+    monkeypatch.setattr(play, "JUMPS", 0.0)
     _, steady = reach(belief, limits, np.full(2, 1e-3), shares)
     assert steady[0, :2].tolist() == pytest.approx([seconds, seconds], rel=0.25)  # as far as moments are apart
     assert math.isinf(steady[0, 2])
