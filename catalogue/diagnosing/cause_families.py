@@ -23,6 +23,10 @@ from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.parts import Mount
 from jointplay.solver.spectra.bands import FEATURE_ORDERS
 
+ALL_MOUNTS = "all mounts"
+#: Factors on the stiffness of all mounts by which a machine in order may differ from itself: rubber that is warmer is
+#: softer.
+WARMTH = (0.9, 1.1)
 #: Standard deviation of the logarithm of a second factor, of damping or inertia, from what it usually is.
 SECOND_FACTOR = 0.3
 
@@ -224,8 +228,8 @@ def families_of(model: IdealFrame) -> Iterator[Family]:
     """Yield every family that a machine may have."""
     machine = model.machine
     mounts = [index for index, support in enumerate(machine.supports) if isinstance(support, Mount)]
-    for name, group in [*((f"mount {index}", [index]) for index in mounts), ("all mounts", mounts)]:
-        yield _Factor.of(name, _STIFFNESS, model, partial(_mounts, machine, group))
+    for name, group in [*((f"mount {index}", [index]) for index in mounts), (ALL_MOUNTS, mounts)]:
+        yield _Factor.of(name, _STIFFNESS, model, partial(mount_numbers, machine, group))
     yield _Factor.of(f"mass of {machine.frame}", _MASS, model, partial(_frame, machine))
     for family in model.wrenches:
         yield forces_of(model, family)
@@ -236,8 +240,8 @@ def forces_of(model: IdealFrame, family: FamilyWrench) -> Family:
     return _Forces(family, model.motion, _move(model.accelerance, family.wrench, model.speed))
 
 
-def _mounts(machine: Machine, group: Sequence[int], factor: float, damping: float) -> dict[str, float]:
-    """Numbers of mounts whose stiffness has a factor, and whose damping another one."""
+def mount_numbers(machine: Machine, group: Sequence[int], factor: float, damping: float) -> dict[str, float]:
+    """Return numbers of mounts whose stiffness has a factor, and whose damping another one, by path."""
     found: dict[str, float] = {}
     for index in group:
         mount = machine.supports[index]

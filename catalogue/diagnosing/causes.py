@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from jointplay.catalogue.diagnosing.baseline_levels import LevelStatistics, OrderLevels, class_statistics, share_beyond
-from jointplay.catalogue.diagnosing.cause_families import Family, IdealFrame, Misfit, families_of
+from jointplay.catalogue.diagnosing.cause_families import ALL_MOUNTS, WARMTH, Family, IdealFrame, Misfit, families_of
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.signals.suspension import on_mounts
 from jointplay.catalogue.storage.store import Catalogue
@@ -142,13 +142,16 @@ def name_changes(expected: LevelStatistics, catalogue: Catalogue) -> tuple[Named
     Returns
     -------
     tuple of NamedCause
-        As for :func:`name_causes`, and raises as that.
+        As for :func:`name_causes`, and raises as that; empty where all mounts explain it that are warmer or colder.
     """
     model = _ideal(catalogue, expected.levels.prepared.drive_speed)
     if model is None:
         return ()
     scored = list(_score(expected, model, tuple(families_of(model)), LEAST_GAIN_SINCE, since=True))
-    return tuple(replace(cause, since=True) for cause in _rank(scored))
+    found = _rank(scored)
+    if found and found[0].name == ALL_MOUNTS and WARMTH[0] <= found[0].size <= WARMTH[1]:
+        return ()
+    return tuple(replace(cause, since=True) for cause in found)
 
 
 def _ideal(catalogue: Catalogue, speed: float) -> IdealFrame | None:

@@ -22,13 +22,17 @@ from jointplay.catalogue.diagnosing.baseline_levels import (
     class_statistics,
     share_beyond,
 )
+from jointplay.catalogue.diagnosing.cause_families import WARMTH, mount_numbers
 from jointplay.catalogue.diagnosing.comparison import view_of
 from jointplay.catalogue.plans.entry import HEALTHY
 from jointplay.catalogue.signals.feature_bands import feature_axes
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
+from jointplay.catalogue.signals.suspension import on_mounts, suspension_change
 from jointplay.catalogue.storage.cross_power import unpack
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.arrays import AnyComplexArray, BoolArray, FloatArray, IntArray
+from jointplay.solver.machines.machine import Machine
+from jointplay.solver.machines.parts import Mount
 from jointplay.solver.spectra.bands import FEATURE_ORDERS
 
 #: What two recordings of a machine in order differ by at one speed, as a part of what machines scatter by: contacts
@@ -50,6 +54,8 @@ FREEDOM = 3.0
 DRAWS = 2000
 #: Levels that are told: so many standard deviations off, and the farthest so many.
 TOLD_FROM, MOST_TOLD = 3.0, 5
+#: Stiffnesses of all mounts that are tried, from warm to cold ones: a fiftieth apart.
+WARM_AND_COLD = np.linspace(*WARMTH, 11)
 #: Entries whose speed is nearest to the recording's.
 NEAREST = 60
 
@@ -112,8 +118,10 @@ def compare_with_past(
     used = distance.usable()
     if not used.any():
         return None
-    power = _power(catalogue, levels[0])
-    return PastComparison(distance.p_value(used), tuple(distance.farthest(used)), distance.expected(power))
+    expected = distance.expected(_power(catalogue, levels[0]))
+    return PastComparison(
+        distance.p_value(used, _by_warmth(expected, catalogue.machine)), tuple(distance.farthest(used)), expected
+    )
 
 
 def _with_play(catalogue: Catalogue, levels: OrderLevels) -> IntArray:
@@ -130,6 +138,21 @@ def _power(catalogue: Catalogue, levels: OrderLevels) -> AnyComplexArray:
     nearest = rows[np.sort(np.argsort(np.abs(off), kind="stable")[:NEAREST])]
     power = unpack(catalogue.matrix.packed(nearest)[:, :FEATURE_ORDERS])
     return np.asarray(power.mean(axis=0, dtype=np.complex128))
+
+
+def _by_warmth(known: LevelStatistics, machine: Machine) -> FloatArray:
+    """What colder and warmer mounts move the levels (m,) of orders by, (t, m), dB."""
+    if not on_mounts(machine):
+        return np.zeros((1, len(known.mean)))
+    prepared = known.levels.prepared
+    frequency = np.arange(1.0, FEATURE_ORDERS + 1.0) * (prepared.drive_speed / (2.0 * math.pi))
+    mounts = [place for place, each in enumerate(machine.supports) if isinstance(each, Mount)]
+    levels = []
+    for factor in WARM_AND_COLD.tolist():
+        numbers = mount_numbers(machine, mounts, factor, math.sqrt(factor))
+        passed = np.linalg.inv(suspension_change(machine, numbers, frequency))
+        levels.append(known.levels.of_motion(passed @ known.power @ passed.conj().swapaxes(-1, -2)))
+    return np.asarray(np.array(levels) - known.levels.of_motion(known.power)).reshape(len(WARM_AND_COLD), -1)
 
 
 def _steadiness(then: Sequence[LevelStatistics]) -> FloatArray | float:
@@ -210,8 +233,14 @@ class _Distance:
         bands = np.arange(1, self.now.levels.bands + 1)
         return np.repeat(np.isin(bands, [order for order in orders if order <= FEATURE_ORDERS]), self._channels)
 
-    def p_value(self, used: BoolArray) -> float:
-        """Share of pairs of recordings of a machine in order that differ by as much."""
+    def p_value(self, used: BoolArray, warmth: FloatArray) -> float:
+        """Share of pairs of recordings of a machine in order that differ by as much.
+
+        Either at what of the shifts (t, m) by which warm and cold mounts move the first m levels explains it best.
+        """
+        shifts = np.zeros((len(warmth), len(self.away)))
+        shifts[:, : warmth.shape[1]] = warmth
+        shifts = shifts[:, used] / self.spread[used]
         generator = np.random.default_rng(0)
         spread, errors = self.spread[used], np.sqrt(self.errors[used])
         machines = self.part[used] * self.now.deviations[:, used]
@@ -219,8 +248,10 @@ class _Distance:
         known = BELIEVED + len(self.then) - 1  # degrees of freedom of each level's share
         for _ in range(math.ceil(DRAWS / len(machines))):
             share = np.sqrt(known / generator.chisquare(known, machines.shape))
-            drawn.append(_distance((share * machines + errors * generator.normal(size=machines.shape)) / spread))
-        return share_beyond(float(_distance(self.away[used] / spread)), np.concatenate(drawn))
+            away = (share * machines + errors * generator.normal(size=machines.shape)) / spread
+            drawn.append(np.min([_distance(away - shift) for shift in shifts], axis=0))
+        own = min(float(_distance(self.away[used] / spread - shift)) for shift in shifts)
+        return share_beyond(own, np.concatenate(drawn))
 
     def farthest(self, used: BoolArray) -> list[LevelSince]:
         """The levels that are farthest from what is usual."""

@@ -110,7 +110,8 @@ def test_a_mount_that_is_little_softer_is_named(
     assert isinstance(first, NamedCause)
     assert first.name == "mount 1" and first.size == pytest.approx(0.85, abs=0.05) and first.probability > 0.9
     steady = [visits[name] for name in ("first", "second", "third")]
-    assert found.p_value < 0.1
+    # Beside one recording, all mounts as on a warm day explain it nearly as well.
+    assert found.p_value < 0.25
     assert beside(small_catalogue, visits["softer"], *steady).p_value < 0.05
     assert beside(small_catalogue, visits["softest"], *steady).p_value < OTHERWISE_BELOW
     told = found.changed[0]
@@ -118,15 +119,32 @@ def test_a_mount_that_is_little_softer_is_named(
     assert not any(cause.name == "mount 1" for cause in name_causes(visits["softer"], small_catalogue, small=True))
 
 
+def on_a_day(catalogue: Catalogue, speed: float, mounts: float = 1.0) -> Case:
+    """A machine as filed, all its mounts softer or stiffer by a factor."""
+    case = off_by(catalogue, (1.0,) * len(OFF), speed)
+    paths = [f"supports.{place}.stiffness.{axis}" for place in (0, 1) for axis in (0, 1)]
+    return dataclasses.replace(
+        case, parameters={**case.parameters, **{path: mounts * case.parameters[path] for path in paths}}
+    )
+
+
 def test_warm_mounts_are_named(small_catalogue: Catalogue) -> None:
     """Between nothing and the next of few starts lies a valley: a link that is heavier by a half was named."""
-    first, now = (off_by(small_catalogue, (1.0,) * len(OFF), speed) for speed in (1.0, 1.006))
-    paths = [f"supports.{place}.stiffness.{axis}" for place in (0, 1) for axis in (0, 1)]
-    softer = {path: 0.87 * now.parameters[path] for path in paths}
-    warm = dataclasses.replace(now, parameters={**now.parameters, **softer})
-    before, after = recordings(small_catalogue, [first, warm])
+    before, after = recordings(
+        small_catalogue, [on_a_day(small_catalogue, 1.0), on_a_day(small_catalogue, 1.006, 0.87)]
+    )
     cause = name_changes(beside(small_catalogue, after, before).expected, small_catalogue)[0]
     assert cause.name == "all mounts" and cause.size == pytest.approx(0.87, abs=0.05) and cause.probability > 0.9
+
+
+def test_mounts_as_on_another_day_are_no_change(small_catalogue: Catalogue) -> None:
+    """A few per cent softer or stiffer, all of them: rubber is so when it is warm or cold."""
+    days = [(1.0, 1.0), (0.99, 1.0), (1.012, 1.0), (1.006, 0.93), (1.006, 1.07)]
+    *steady, warm, cold = recordings(small_catalogue, [on_a_day(small_catalogue, *each) for each in days])
+    for now in (warm, cold):
+        found = beside(small_catalogue, now, *steady)
+        assert found.p_value > 0.05
+        assert name_changes(found.expected, small_catalogue) == ()
 
 
 def test_several_recordings_narrow_what_is_expected(
