@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -121,6 +121,40 @@ def compare_with_past(
     expected = distance.expected(_power(catalogue, levels[0]))
     return PastComparison(
         distance.p_value(used, _by_warmth(expected, catalogue.machine)), tuple(distance.farthest(used)), expected
+    )
+
+
+def expect_worn(expected: LevelStatistics, catalogue: Catalogue, label: str, rows: IntArray) -> LevelStatistics | None:
+    """Return how the orders of a recording were to lie if joints have worn since.
+
+    Parameters
+    ----------
+    expected : LevelStatistics
+        How they were to lie otherwise.
+    catalogue : Catalogue
+    label : str
+        Hypothesis.
+    rows : ndarray of int, shape (n,)
+        Entries of it that are worn as the machine seems to be.
+
+    Returns
+    -------
+    LevelStatistics or None
+        Moved by what these entries differ by from the same machines in order, scatter included; None where too few of
+        them are there.
+    """
+    before = catalogue.matrix.in_order(rows)
+    rows, before = rows[before >= 0], before[before >= 0]
+    levels = expected.levels
+    worn, sound = (class_statistics(catalogue, levels, *each) for each in ((label, rows), (HEALTHY, before)))
+    if worn is None or sound is None:
+        return None
+    days = expected.deviations[np.arange(len(rows)) * len(expected.deviations) // len(rows)]
+    return replace(
+        expected,
+        mean=expected.mean + worn.mean - sound.mean,
+        deviations=worn.deviations - sound.deviations + days,
+        power=worn.power,
     )
 
 

@@ -14,7 +14,7 @@ from jointplay.catalogue.diagnosing.answer import BandEvidence, Evidence, JointC
 from jointplay.catalogue.diagnosing.baseline import Baseline
 from jointplay.catalogue.diagnosing.causes import NEAREST, NamedCause, name_causes, name_changes
 from jointplay.catalogue.diagnosing.frame_modes import find_mode
-from jointplay.catalogue.diagnosing.past import PastComparison
+from jointplay.catalogue.diagnosing.past import PastComparison, expect_worn
 from jointplay.catalogue.matching.matcher import UNKNOWN_BELOW, HypothesisMatch, MatchResult
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.signals.sensor_flaws import SensorContradiction
@@ -102,14 +102,15 @@ def find_causes(
     """
     if speed_warnings(prepared, catalogue):
         return ()
-    if past is not None and result.p_worn <= 0.5:
-        if changes := name_changes(past.expected, catalogue):
+    likeliest, is_worn = result.hypotheses[0], result.p_worn > 0.5
+    worn = [(likeliest.label, _nearest(catalogue, likeliest, prepared.drive_speed))] if likeliest.joints else []
+    if past is not None:
+        expected = past.expected if not is_worn else expect_worn(past.expected, catalogue, *worn[0]) if worn else None
+        if expected is not None and (changes := name_changes(expected, catalogue)):
             return changes
-        if past.p_value >= (OTHERWISE_BELOW if needs_cause(result) else AS_BEFORE):
+        if not is_worn and past.p_value >= (OTHERWISE_BELOW if needs_cause(result) else AS_BEFORE):
             # What tells it from other machines, or from its file, it had when it was in order.
             return ()
-    speed = prepared.drive_speed
-    worn = [(match.label, _nearest(catalogue, match, speed)) for match in result.hypotheses[:1] if match.joints]
     found = name_causes(prepared, catalogue, worn, small=needs_cause(result))
     if found:
         steady = [each for each in earlier if not each.flaws and not speed_warnings(each, catalogue)]

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from in_order import off_by, recordings
+from in_order import FITS, off_by, recordings
 
 from jointplay.catalogue.diagnosing import hearing, hearing_anew
 from jointplay.catalogue.diagnosing.as_found import Refined
@@ -15,7 +15,7 @@ from jointplay.catalogue.diagnosing.baseline_levels import OrderLevels
 from jointplay.catalogue.diagnosing.causes import NamedCause, name_causes, name_changes
 from jointplay.catalogue.diagnosing.comparison import beside_past, exact_sensing, features_of, watched_levels
 from jointplay.catalogue.diagnosing.known_machine import KnownMachine
-from jointplay.catalogue.diagnosing.past import PastComparison, compare_with_past
+from jointplay.catalogue.diagnosing.past import PastComparison, compare_with_past, expect_worn
 from jointplay.catalogue.diagnosing.question import Question
 from jointplay.catalogue.diagnosing.verdict import OTHERWISE_BELOW, find_causes
 from jointplay.catalogue.matching.matcher import MatchResult
@@ -28,6 +28,7 @@ from jointplay.catalogue.signals.sensor_flaws import SensorContradiction
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.arrays import BoolArray, FloatArray
 from jointplay.solver.cases.case import Case
+from jointplay.solver.machines.fault import Fault
 
 #: A machine that is not as its file says: mass and inertia of the frame, stiffness in x and y, damping.
 OFF = (1.04, 0.96, 0.93, 1.05, 1.1)
@@ -145,6 +146,27 @@ def test_mounts_as_on_another_day_are_no_change(small_catalogue: Catalogue) -> N
         found = beside(small_catalogue, now, *steady)
         assert found.p_value > 0.05
         assert name_changes(found.expected, small_catalogue) == ()
+
+
+def test_a_mount_that_loosens_is_told_beside_wear(small_catalogue: Catalogue) -> None:
+    """By what worn machines of the catalogue differ by from themselves in order; wear by itself is no such change."""
+    matrix = small_catalogue.matrix
+    worn = [
+        dataclasses.replace(each, fault=Fault({**FITS, "O": 300e-6}))
+        for each in (off_by(small_catalogue, OFF, 1.006), changed(small_catalogue, 1.006, dict.fromkeys(SOFTER, 0.6)))
+    ]
+    before, firm, loose = recordings(small_catalogue, [off_by(small_catalogue, OFF), *worn])
+    rows = matrix.rows("O", "trusted")
+    near = rows[np.argsort(np.abs(np.log(matrix.clearance(rows)[:, matrix.joints.index("O")] / 300e-6)))[:80]]
+    told = []
+    for now in (firm, loose):
+        expected = expect_worn(beside(small_catalogue, now, before).expected, small_catalogue, "O", near)
+        assert expected is not None
+        told.append(name_changes(expected, small_catalogue))
+    assert told[0] == ()
+    assert told[1][0].name == "mount 1" and told[1][0].size == pytest.approx(0.6, abs=0.06)
+    few = near[:10]
+    assert expect_worn(beside(small_catalogue, firm, before).expected, small_catalogue, "O", few) is None
 
 
 def test_several_recordings_narrow_what_is_expected(
