@@ -81,6 +81,11 @@ class NamedCause:
     suspension: Mapping[str, float] = field(default_factory=dict)
     since: bool = False
 
+    @property
+    def is_warmth(self) -> bool:
+        """Whether it is no more than mounts that are all a little warmer or colder than they were."""
+        return self.since and self.name == ALL_MOUNTS and WARMTH[0] <= self.size <= WARMTH[1]
+
 
 def name_causes(
     prepared: PreparedMeasurement,
@@ -142,16 +147,13 @@ def name_changes(expected: LevelStatistics, catalogue: Catalogue) -> tuple[Named
     Returns
     -------
     tuple of NamedCause
-        As for :func:`name_causes`, and raises as that; empty where all mounts explain it that are warmer or colder.
+        As for :func:`name_causes`, and raises as that.
     """
     model = _ideal(catalogue, expected.levels.prepared.drive_speed)
     if model is None:
         return ()
     scored = list(_score(expected, model, tuple(families_of(model)), LEAST_GAIN_SINCE, since=True))
-    found = _rank(scored)
-    if found and found[0].name == ALL_MOUNTS and WARMTH[0] <= found[0].size <= WARMTH[1]:
-        return ()
-    return tuple(replace(cause, since=True) for cause in found)
+    return tuple(replace(cause, since=True) for cause in _rank(scored))
 
 
 def _ideal(catalogue: Catalogue, speed: float) -> IdealFrame | None:

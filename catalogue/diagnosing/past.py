@@ -147,7 +147,7 @@ def expect_worn(expected: LevelStatistics, catalogue: Catalogue, label: str, row
     rows, before = rows[before >= 0], before[before >= 0]
     levels = expected.levels
     worn, sound = (class_statistics(catalogue, levels, *each) for each in ((label, rows), (HEALTHY, before)))
-    if worn is None or sound is None:
+    if worn is None or sound is None or len(np.unique(before)) < LEAST_ENTRIES:
         return None
     days = expected.deviations[np.arange(len(rows)) * len(expected.deviations) // len(rows)]
     return replace(

@@ -102,12 +102,13 @@ def find_causes(
     """
     if speed_warnings(prepared, catalogue):
         return ()
-    likeliest, is_worn = result.hypotheses[0], result.p_worn > 0.5
-    worn = [(likeliest.label, _nearest(catalogue, likeliest, prepared.drive_speed))] if likeliest.joints else []
+    is_worn = result.p_worn > 0.5
+    looks = [match for match in result.hypotheses if match.joints or not is_worn][:1]
+    worn = [(match.label, _nearest(catalogue, match, prepared.drive_speed)) for match in looks if match.joints]
     if past is not None:
-        expected = past.expected if not is_worn else expect_worn(past.expected, catalogue, *worn[0]) if worn else None
+        expected = expect_worn(past.expected, catalogue, *worn[0]) if is_worn else past.expected
         if expected is not None and (changes := name_changes(expected, catalogue)):
-            return changes
+            return () if changes[0].is_warmth else changes
         if not is_worn and past.p_value >= (OTHERWISE_BELOW if needs_cause(result) else AS_BEFORE):
             # What tells it from other machines, or from its file, it had when it was in order.
             return ()

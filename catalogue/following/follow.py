@@ -36,7 +36,7 @@ SURE = 0.9
 
 ALIKE, ALIKE_OF_ERROR = 0.15, 0.85
 """Standard deviation of ln(clearance) of what every recording of a machine has wrong alike; and the part of the error
-that a recording gives its own clearance which all others share: docs/decisions/0208."""
+that a recording gives its own clearance which all others share: docs/decisions/0210."""
 
 UNWORN = 0.5
 """Probability of wear below which a joint that was surely worn has been repaired."""
@@ -85,7 +85,7 @@ def follow(
     return WearState(
         at=events[-1].at,
         visits=len(heard),
-        joints=following.tell(events[-1].at),
+        joints=following.tell(),
         causes=follow_causes([(visit.at, visit.answer) for visit in heard]),
         repairs=tuple(following.repairs),
     )
@@ -179,7 +179,8 @@ class _Following:
     def pass_until(self, at: datetime) -> float:
         """Let joints wear until a moment, and return the time that has passed, s."""
         passed = (at - self.at).total_seconds() if self.at else 0.0
-        self.belief, self.at = let_pass(self.belief, passed), at
+        worn = np.array([joint.bounds.worn for joint in self.joints.values()])
+        self.belief, self.at = let_pass(self.belief, passed, worn[:, None, None]), at
         return passed
 
     def inspect(self, found: Inspection) -> None:
@@ -241,17 +242,18 @@ class _Following:
         mended = np.array([joint.bounds.mended(belief) for joint, belief in each])
         self.belief = (1.0 - share) * self.belief + share * mended
 
-    def tell(self, last: datetime) -> dict[str, JointFollowed]:
+    def tell(self) -> dict[str, JointFollowed]:
         """What is said of all joints at last."""
+        assert self.at is not None
         belief = self.belief.sum(axis=1)
-        limits = np.array([joint.bounds.limit for joint in self.joints.values()])
-        over, times = reach(belief, limits, np.array([joint.error for joint in self.joints.values()]), _SHARES)
+        errors = np.array([joint.error for joint in self.joints.values()])
+        over, times = reach(belief, list(self.bounds.values()), errors, _SHARES)
         found = {}
         for j, (name, joint) in enumerate(self.joints.items()):
             marginal = belief[j].sum(axis=0)
             low, median, high = joint.three(marginal)
             early, likely, late = (
-                last + timedelta(seconds=seconds) if seconds < math.inf else None for seconds in times[j].tolist()
+                self.at + timedelta(seconds=seconds) if seconds < math.inf else None for seconds in times[j].tolist()
             )
             found[name] = JointFollowed(
                 p_worn=joint.p_worn(marginal),

@@ -10,7 +10,7 @@ what a recording says of several at once is kept as far as it concerns each one 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -106,8 +106,8 @@ SEEN_AT: IntArray = _seen_at()
 """Place on the grid at which each clearance is seen with each excess, (D, X)."""
 
 
-_WORN, _NEXT = int(np.searchsorted(AXIS, math.log(ClearanceRange().low))), math.exp(-STEP / JUMP)
-"""Place of the least clearance that may be wear; part of the jumps that go on from a clearance to the next."""
+_NEXT = math.exp(-STEP / JUMP)
+"""Part of the jumps that go on from a clearance to the next."""
 
 _MOMENTS: FloatArray = np.concatenate([[0.0], np.geomspace(3600.0, NEVER, 60)])
 """Times, s, at which it is looked at what joints have become: a quarter apart."""
@@ -175,21 +175,28 @@ def bounds_of(machine: Machine, joints: Iterable[str]) -> dict[str, JointBounds]
     return found
 
 
-def let_pass(belief: FloatArray, seconds: float) -> FloatArray:
+def let_pass(belief: FloatArray, seconds: float, worn: BoolArray) -> FloatArray:
     """Return what is believed of joints (..., S, X) some time later, if nobody mends them.
 
     Each grows at its rate; some begin to grow at another one, and some that are worn jump. What would grow beyond the
     grid stays at its end.
+
+    Parameters
+    ----------
+    worn : ndarray of bool, shape (..., 1, X)
+        Which clearances of each joint are wear.
     """
     if seconds <= 0.0:
         return belief
     change = 1.0 - math.exp(-CHANGES * seconds)
     mixed = (1.0 - change) * belief + change * LIKELY_RATES[:, None] * belief.sum(axis=-2, keepdims=True)
-    worn = mixed[..., _WORN:]
-    jumped, stays = lfilter([1.0 - _NEXT], [1.0, -_NEXT], worn, axis=-1), math.exp(-JUMPS * seconds)
-    jumped[..., -1] += worn.sum(axis=-1) - jumped.sum(axis=-1)
-    worn *= stays
-    worn += (1.0 - stays) * jumped
+    # In so many parts that there are few jumps in one.
+    parts = math.ceil(2.0 * JUMPS * seconds)
+    for _ in range(parts):
+        before = mixed * worn
+        after = lfilter([1.0 - _NEXT], [1.0, -_NEXT], before, axis=-1)
+        after[..., -1] += before.sum(axis=-1) - after.sum(axis=-1)
+        mixed += -math.expm1(-JUMPS * seconds / parts) * (after - before)
     size, places = len(AXIS), np.arange(len(AXIS))
     reached = np.log(np.exp(AXIS) + RATES[:, None] * seconds)
     place = np.clip((reached - AXIS[0]) / STEP, places, size - 1.0)  # never back by a rounding
@@ -232,9 +239,9 @@ def gain_of(without: FloatArray, marginal: FloatArray) -> FloatArray:
 
 
 def reach(
-    belief: FloatArray, clearances: FloatArray, alike: FloatArray, shares: FloatArray
+    belief: FloatArray, bounds: Sequence[JointBounds], alike: FloatArray, shares: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the probabilities (J,) that joints (J, S, X) have reached clearances (J,), in m, and when they will have.
+    """Return the probabilities (J,) that joints (J, S, X) have reached their limits, and when they will have.
 
     The latter with probabilities (m,): times (J, m), s, infinite beyond a century. Joints go on as they do, and some
     begin to grow at another rate; nobody mends them.
@@ -244,10 +251,11 @@ def reach(
     alike : ndarray, shape (J,)
         Standard deviation of ln(clearance) of what every recording has wrong alike.
     """
-    over = ndtr((AXIS - np.log(clearances)[:, None]) / alike[:, None])
+    limits, worn = (np.array(each) for each in zip(*((own.limit, own.worn) for own in bounds), strict=True))
+    over = ndtr((AXIS - np.log(limits)[:, None]) / alike[:, None])
     reached = [np.sum(belief.sum(axis=-2) * over, axis=-1)]
     for seconds in np.diff(_MOMENTS).tolist():
-        belief = let_pass(belief, seconds)
+        belief = let_pass(belief, seconds, worn[:, None])
         reached.append(np.sum(belief.sum(axis=-2) * over, axis=-1))
     course = np.maximum.accumulate(np.array(reached))  # never back by a rounding
     times = [np.interp(shares, each, _MOMENTS, right=math.inf) for each in course.T]

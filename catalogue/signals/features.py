@@ -21,7 +21,7 @@ from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum
 from jointplay.catalogue.measurements.measurement import Recording
 from jointplay.catalogue.measurements.tacho import track_of, usual_speed
 from jointplay.catalogue.plans.driving import nominal_drive_speed
-from jointplay.catalogue.signals.feature_bands import usable_cuts
+from jointplay.catalogue.signals.feature_bands import USABLE, usable_cuts
 from jointplay.catalogue.signals.hum import SteadyLine, hum_in_orders
 from jointplay.catalogue.signals.noise import NoiseFloor, noise_floor
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
@@ -145,8 +145,10 @@ def prepare(
     warnings += [*unsteady, *doubt, *rest.warnings]
     revolutions = _refuse_short(measurement.name, (1.0 - rest.left_out) * len(signal) / rate, estimate.speed)
     turn = estimate.speed / (2.0 * math.pi)
-    if 0.5 * rate < (FEATURE_ORDERS + 0.5) * turn:
+    if USABLE * rate < (FEATURE_ORDERS + 0.5) * turn:
+        least = math.ceil((FEATURE_ORDERS + 0.5) * turn / USABLE)
         rule = f"sample rate {rate:g} Hz: does not reach order {FEATURE_ORDERS} of a drive at {turn:.4g} Hz"
+        rule += f": must be {least} Hz or more"
         raise MeasurementError(measurement.name, rule=rule)
 
     cleaned = without_lines(rest, rate)

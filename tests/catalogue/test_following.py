@@ -17,11 +17,23 @@ from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.following import follow as following
 from jointplay.catalogue.following import play
 from jointplay.catalogue.following.follow import follow
-from jointplay.catalogue.following.play import AXIS, RATES, STEP, YEAR, bounds_of, gain_of, let_pass, quantiles, reach
+from jointplay.catalogue.following.play import (
+    AXIS,
+    RATES,
+    STEP,
+    YEAR,
+    JointBounds,
+    bounds_of,
+    gain_of,
+    let_pass,
+    quantiles,
+    reach,
+)
 from jointplay.catalogue.following.state import CoursePoint, WearState
 from jointplay.catalogue.following.visits import Inspection, Visit
 from jointplay.solver.machines.machine import parse_machine, shipped_machine
 
+WORN = BOUNDS["B"].worn
 NONE = dict.fromkeys(JOINTS, -6.0)
 AS_NEW = dict.fromkeys(JOINTS, 26e-6)
 
@@ -274,14 +286,14 @@ def test_time_moves_a_clearance_by_its_rate_and_never_back(monkeypatch: pytest.M
     start, rate = np.searchsorted(AXIS, math.log(50e-6)), 12
     belief[0, rate, start] = 1.0
     seconds = 40e-6 / RATES[rate]
-    later = let_pass(belief, seconds)
+    later = let_pass(belief, seconds, WORN)
     stayed = later[0, rate] / later[0, rate].sum()
     # The mean between two points of the grid, in ln: off by less than the square of a step.
     expected = math.exp(AXIS[start]) + 40e-6
     assert float(stayed @ np.exp(AXIS)) == pytest.approx(expected, rel=STEP**2)
     assert later.sum() == pytest.approx(1.0)
     assert later[0, :, :start].sum() == 0.0
-    assert np.array_equal(let_pass(belief, 0.0), belief)
+    assert np.array_equal(let_pass(belief, 0.0, WORN), belief)
 
 
 def test_worn_joints_jump_now_and_then(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -290,7 +302,7 @@ def test_worn_joints_jump_now_and_then(monkeypatch: pytest.MonkeyPatch) -> None:
     belief = np.zeros((3, len(RATES), len(AXIS)))
     places = np.searchsorted(AXIS, np.log([15e-6, 50e-6, 5e-3]))
     belief[range(3), 0, places] = 1.0  # at rest
-    later = let_pass(belief, 0.5 / play.JUMPS)
+    later = let_pass(belief, 0.5 / play.JUMPS, WORN)
     assert later.sum(axis=(1, 2)) == pytest.approx([1.0, 1.0, 1.0])
     assert later[0, 0, places[0]] == 1.0
     jumped = 1.0 - math.exp(-0.5)
@@ -298,6 +310,12 @@ def test_worn_joints_jump_now_and_then(monkeypatch: pytest.MonkeyPatch) -> None:
     assert later[1, 0, places[1]] == pytest.approx(1.0 - jumped, abs=0.05)
     assert later[1, 0, : places[1]].sum() == 0.0
     assert later[2, 0, -1] > 0.25
+    long = let_pass(belief, 8.0 / play.JUMPS, WORN)
+    for _ in range(15):
+        later = let_pass(later, 0.5 / play.JUMPS, WORN)
+    np.testing.assert_allclose(long.cumsum(axis=-1), later.cumsum(axis=-1), atol=0.02)
+    wide = JointBounds(fit=(20e-6, 80e-6), worn_from=100e-6, limit=500e-6)
+    assert let_pass(belief, 1.0 / play.JUMPS, wide.worn)[1, 0, places[1]] == 1.0  # 50 um is its fit
 
 
 def test_when_a_limit_is_reached(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -305,18 +323,19 @@ def test_when_a_limit_is_reached(monkeypatch: pytest.MonkeyPatch) -> None:
     belief = np.zeros((2, len(RATES), len(AXIS)))
     place = np.searchsorted(AXIS, math.log(50e-6))
     belief[:, 10, place], belief[:, 0, place] = 0.6, 0.4
-    limits, shares = np.array([200e-6, 40e-6]), np.array([0.05, 0.5, 0.95])
+    bounds = [replace(BOUNDS["B"], limit=limit) for limit in (200e-6, 40e-6)]
+    shares = np.array([0.05, 0.5, 0.95])
     seconds = (200e-6 - math.exp(AXIS[place])) / RATES[10]
-    over, changing = reach(belief, limits, np.full(2, 1e-3), shares)
+    over, changing = reach(belief, bounds, np.full(2, 1e-3), shares)
     assert over.tolist() == pytest.approx([0.0, 1.0], abs=1e-9)
     assert changing[1].tolist() == [0.0, 0.0, 0.0]
     assert changing[0, 0] < changing[0, 1] < changing[0, 2] < math.inf
     monkeypatch.setattr(play, "CHANGES", 0.0)
     monkeypatch.setattr(play, "JUMPS", 0.0)
-    _, steady = reach(belief, limits, np.full(2, 1e-3), shares)
+    _, steady = reach(belief, bounds, np.full(2, 1e-3), shares)
     assert steady[0, :2].tolist() == pytest.approx([seconds, seconds], rel=0.25)  # as far as moments are apart
     assert math.isinf(steady[0, 2])
-    nearly, doubted = reach(belief, limits, np.full(2, 0.5), shares)
+    nearly, doubted = reach(belief, bounds, np.full(2, 0.5), shares)
     assert nearly[0] == pytest.approx(0.5 * math.erfc(math.log(200e-6 / math.exp(AXIS[place])) / 0.5 / math.sqrt(2.0)))
     assert doubted[0, 0] < 0.7 * steady[0, 0]
 
