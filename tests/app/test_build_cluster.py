@@ -40,6 +40,7 @@ def test_a_build_is_computed_by_the_cluster(tmp_path: Path, url: str) -> None:
     assert Catalogue.open(tmp_path / "here").id == states[-1]["catalogue_id"]
 
 
+@pytest.mark.long
 def test_a_scheduler_that_is_not_there_fails_the_build_in_one_line(tmp_path: Path) -> None:
     settings = ServiceSettings(catalogues=tmp_path / "c", data=tmp_path / "d", scheduler="tcp://127.0.0.1:1", workers=1)
     with serving(settings) as address, httpx.Client(base_url=address, timeout=300) as client:

@@ -47,6 +47,7 @@ def test_a_slider_passes_its_shaft() -> None:
     assert np.abs((rod - bed) + (crank - bed)).max() < 1e-8
 
 
+@pytest.mark.long
 def test_fixed_steps_that_meet_a_change_point_exactly_say_so() -> None:
     """At 600 rpm samples hit 90 and 270 degrees to the last bits, and the equations have no solution there.
 

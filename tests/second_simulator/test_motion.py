@@ -58,6 +58,7 @@ def free_machine() -> Machine:
     return Machine("free", "one", bodies, pins, guides, {"P": Contact(friction=0.1)}, gravity=0.0)
 
 
+@pytest.mark.long
 def test_momenta_of_a_free_machine_stay() -> None:
     machine = free_machine()
     q = np.array([(*body.at, 0.0) for body in machine.bodies.values()])
