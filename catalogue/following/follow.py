@@ -185,7 +185,7 @@ class _Following:
 
     def inspect(self, found: Inspection) -> None:
         """Hear what somebody has measured, and mended."""
-        for name, joint, belief in zip(self.joints, self.joints.values(), self.belief, strict=True):
+        for (name, joint), belief in zip(self.joints.items(), self.belief, strict=True):
             if name in found.joints:
                 without = _marginal(belief)
                 belief *= read_measured(found.joints[name])

@@ -190,13 +190,14 @@ def let_pass(belief: FloatArray, seconds: float, worn: BoolArray) -> FloatArray:
         return belief
     change = 1.0 - math.exp(-CHANGES * seconds)
     mixed = (1.0 - change) * belief + change * LIKELY_RATES[:, None] * belief.sum(axis=-2, keepdims=True)
-    # In so many parts that there are few jumps in one.
-    parts = math.ceil(2.0 * JUMPS * seconds)
+    # In so many parts that there are few jumps in one; after it a joint may wear at any rate.
+    parts = max(1, math.ceil(2.0 * JUMPS * seconds))
+    share = -math.expm1(-JUMPS * seconds / parts) * worn
     for _ in range(parts):
-        before = mixed * worn
+        before = share * mixed.sum(axis=-2, keepdims=True)
         after = lfilter([1.0 - _NEXT], [1.0, -_NEXT], before, axis=-1)
         after[..., -1] += before.sum(axis=-1) - after.sum(axis=-1)
-        mixed += -math.expm1(-JUMPS * seconds / parts) * (after - before)
+        mixed = (1.0 - share) * mixed + LIKELY_RATES[:, None] * after
     size, places = len(AXIS), np.arange(len(AXIS))
     reached = np.log(np.exp(AXIS) + RATES[:, None] * seconds)
     place = np.clip((reached - AXIS[0]) / STEP, places, size - 1.0)  # never back by a rounding

@@ -298,10 +298,10 @@ def test_time_moves_a_clearance_by_its_rate_and_never_back(monkeypatch: pytest.M
 
 def test_worn_joints_jump_now_and_then(monkeypatch: pytest.MonkeyPatch) -> None:
     """By half of ln(clearance) in the mean; what is no wear does not, and nothing leaves the grid."""
-    monkeypatch.setattr(play, "CHANGES", 0.0)
+    monkeypatch.setattr(play, "LIKELY_RATES", np.eye(len(RATES))[0])  # at rest, before and after
     belief = np.zeros((3, len(RATES), len(AXIS)))
     places = np.searchsorted(AXIS, np.log([15e-6, 50e-6, 5e-3]))
-    belief[range(3), 0, places] = 1.0  # at rest
+    belief[range(3), 0, places] = 1.0
     later = let_pass(belief, 0.5 / play.JUMPS, WORN)
     assert later.sum(axis=(1, 2)) == pytest.approx([1.0, 1.0, 1.0])
     assert later[0, 0, places[0]] == 1.0
