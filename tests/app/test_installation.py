@@ -39,7 +39,6 @@ def test_a_wheel_holds_everything_under_one_name(wheel: Path) -> None:
     assert inside == modules(ROOT) | {"__init__.py", "version.py", "py.typed"}
 
 
-@pytest.mark.long
 def test_a_source_distribution_gives_the_same_wheel(wheel: Path, tmp_path: Path) -> None:
     archive = next(iter(SdistBuilder(str(ROOT)).build(directory=str(tmp_path))))
     subprocess.run(["tar", "xzf", archive, "-C", str(tmp_path)], check=True)
