@@ -17,7 +17,7 @@ from scipy.linalg.lapack import dpotrf
 
 from jointplay.catalogue.diagnosing.baseline_levels import DECIBELS, LevelStatistics, OrderLevels
 from jointplay.catalogue.diagnosing.frame_forces import FamilyWrench, Wrench, family_wrenches
-from jointplay.catalogue.signals.suspension import accelerance
+from jointplay.catalogue.signals.suspension import accelerance, inverse_of
 from jointplay.solver.arrays import AnyComplexArray, BoolArray, ComplexArray, FloatArray
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.parts import Mount
@@ -146,7 +146,7 @@ class _Factor:
     @classmethod
     def of(cls, name: str, kind: _Kind, model: IdealFrame, numbers: Callable[..., dict[str, float]]) -> _Factor:
         """A family of a kind."""
-        each = [np.linalg.inv(model.with_numbers(numbers(*two))) - model.inverse for two in ((2.0, 1.0), (1.0, 2.0))]
+        each = [inverse_of(model.with_numbers(numbers(*two))) - model.inverse for two in ((2.0, 1.0), (1.0, 2.0))]
         both = np.array([1.0, kind.usual])
         starts, least = np.log(kind.factors)[:, None] * both, math.log(kind.small) * float(np.linalg.norm(both))
         return cls(name, kind.unit, starts, kind.usual, least, numbers, model.inverse, (each[0], each[1]))
@@ -162,7 +162,7 @@ class _Factor:
 
     def change(self, power: AnyComplexArray, numbers: FloatArray) -> ComplexArray:
         more = np.exp(numbers) - 1.0
-        passed = np.linalg.inv(self.own + np.tensordot(more, np.array(self.parts), 1)) @ self.own
+        passed = inverse_of(self.own + np.tensordot(more, np.array(self.parts), 1)) @ self.own
         return np.asarray(passed @ power @ passed.conj().swapaxes(-1, -2), np.complex128)
 
     def add(self, numbers: FloatArray) -> ComplexArray:
@@ -206,8 +206,7 @@ class IdealFrame:
         inertial, wrenches = family_wrenches(machine, speed)
         frequency = np.arange(1.0, FEATURE_ORDERS + 1.0) * (abs(speed) / (2.0 * math.pi))
         own = accelerance(machine, {}, frequency)
-        inverse = np.asarray(np.linalg.inv(own), np.complex128)
-        return cls(machine, speed, frequency, own, inverse, _move(own, inertial, speed)[0], wrenches)
+        return cls(machine, speed, frequency, own, inverse_of(own), _move(own, inertial, speed)[0], wrenches)
 
     def with_numbers(self, numbers: dict[str, float]) -> ComplexArray:
         """Accelerance (K, 3, 3) of a frame and supports of other numbers."""

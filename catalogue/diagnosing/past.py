@@ -27,7 +27,7 @@ from jointplay.catalogue.diagnosing.comparison import view_of
 from jointplay.catalogue.plans.entry import HEALTHY
 from jointplay.catalogue.signals.feature_bands import feature_axes
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
-from jointplay.catalogue.signals.suspension import on_mounts, suspension_change
+from jointplay.catalogue.signals.suspension import inverse_of, on_mounts, suspension_change
 from jointplay.catalogue.storage.cross_power import unpack
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.arrays import AnyComplexArray, BoolArray, FloatArray, IntArray
@@ -184,7 +184,7 @@ def _by_warmth(known: LevelStatistics, machine: Machine) -> FloatArray:
     levels = []
     for factor in WARM_AND_COLD.tolist():
         numbers = mount_numbers(machine, mounts, factor, math.sqrt(factor))
-        passed = np.linalg.inv(suspension_change(machine, numbers, frequency))
+        passed = inverse_of(suspension_change(machine, numbers, frequency))
         levels.append(known.levels.of_motion(passed @ known.power @ passed.conj().swapaxes(-1, -2)))
     return np.asarray(np.array(levels) - known.levels.of_motion(known.power)).reshape(len(WARM_AND_COLD), -1)
 

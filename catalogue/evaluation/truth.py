@@ -10,7 +10,6 @@ from typing import Protocol
 import numpy as np
 
 from jointplay.catalogue.plans.entry import Hypothesis
-from jointplay.catalogue.signals.sensors import free_motions
 from jointplay.catalogue.signals.suspension import accelerance, on_mounts
 from jointplay.solver.arrays import ComplexArray, FloatArray
 from jointplay.solver.machines.machine import Machine
@@ -201,9 +200,7 @@ def _move(machine: Machine, sample_rate: float, wrench: FloatArray) -> FloatArra
 def _accelerance(machine: Machine, frequency: FloatArray) -> ComplexArray:
     """Acceleration of the frame for a unit wrench, (f, 3, 3), as if it floated where it stands on more than mounts."""
     known = machine if on_mounts(machine) else machine.model_copy(update={"supports": ()})
-    free = np.zeros(3)
-    free[free_motions(machine)] = 1.0
-    return np.asarray(np.diag(free) @ accelerance(known, {}, frequency) @ np.diag(free), dtype=np.complex128)
+    return accelerance(known, {}, frequency)
 
 
 def _rms(signal: FloatArray) -> float:

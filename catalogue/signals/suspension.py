@@ -10,8 +10,8 @@ import numpy as np
 
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.signals.recipe_steps import note_step
-from jointplay.catalogue.signals.sensors import MOTIONS
-from jointplay.solver.arrays import ComplexArray, FloatArray
+from jointplay.catalogue.signals.sensors import MOTIONS, free_motions
+from jointplay.solver.arrays import AnyComplexArray, ComplexArray, FloatArray
 from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.parts import Mount
 from jointplay.solver.spectra.band_power import CYCLES, transform_power
@@ -33,7 +33,8 @@ def accelerance(machine: Machine, parameters: Mapping[str, float], frequency: Fl
     Returns
     -------
     (B, 3, 3) complex array
-        -w^2 (-w^2 M + i w C + K)^-1. The links' mass moves with the frame in x and y, on average.
+        -w^2 (-w^2 M + i w C + K)^-1 of the motions that the frame is free to make, zeros for others.
+        The links' mass moves with the frame in x and y, on average.
     """
     frame = machine.frame
     body = machine.links[frame]
@@ -53,7 +54,17 @@ def accelerance(machine: Machine, parameters: Mapping[str, float], frequency: Fl
     circular = 2.0 * math.pi * np.asarray(frequency, dtype=np.float64)[:, None, None]
     inertial = np.diag([mass + carried, mass + carried, inertia])
     dynamic = -(circular**2) * inertial + 1j * circular * damping + stiffness
-    return np.asarray(-(circular**2) * np.linalg.inv(dynamic), dtype=np.complex128)
+    free = np.zeros((3, 3))
+    free[np.ix_(free_motions(machine), free_motions(machine))] = 1.0
+    return np.asarray(-(circular**2) * inverse_of(dynamic * free), dtype=np.complex128)
+
+
+def inverse_of(matrices: AnyComplexArray) -> ComplexArray:
+    """Return the inverses of matrices (..., 3, 3) between motions that are free: zeros where all have zeros."""
+    free = np.flatnonzero(np.abs(matrices).reshape(-1, 3).any(axis=0))
+    found = np.zeros(matrices.shape, dtype=np.complex128)
+    found[..., free[:, None], free] = np.linalg.inv(matrices[..., free[:, None], free])
+    return found
 
 
 def on_mounts(machine: Machine) -> bool:
@@ -70,12 +81,12 @@ def on_mounts(machine: Machine) -> bool:
 
 
 def suspension_change(machine: Machine, parameters: Mapping[str, float], frequency: FloatArray) -> ComplexArray:
-    """What turns the motion of a machine with other numbers into that of the machine file, (B, 3, 3).
+    """What turns the free motions of a machine with other numbers into those of the machine file, (B, 3, 3).
 
     The forces of the links on the frame are taken to be the same, which they are as long as the frame moves little.
     """
     file, other = accelerance(machine, {}, frequency), accelerance(machine, parameters, frequency)
-    return np.asarray(file @ np.linalg.inv(other), dtype=np.complex128)
+    return np.asarray(file @ inverse_of(other), dtype=np.complex128)
 
 
 def with_filed_suspension(

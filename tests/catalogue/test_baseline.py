@@ -197,6 +197,24 @@ def test_the_suspension_as_a_rigid_body(small_catalogue: Catalogue) -> None:
     assert suspension_change(machine, {}, np.array([30.0]))[0] == pytest.approx(np.eye(3), abs=1e-12)
 
 
+def test_a_frame_that_cannot_turn_rests_on_mounts_that_do_not_couple() -> None:
+    tree = shipped_machine("slider-crank").model_dump()
+    tree["supports"][0]["at"] = [-0.75, -0.1]
+    tree["links"]["frame"]["locked"] = ["theta"]
+    locked = parse_machine(tree)
+    mass = sum(link.mass or 0.0 for link in locked.links.values())
+    stiffness = np.sum([each.stiffness for each in locked.supports], axis=0)
+    damping = np.sum([each.damping for each in locked.supports], axis=0)
+    frequency = np.array([3.0, 30.0, 300.0])
+    w = 2.0 * math.pi * frequency[:, None]
+    expected = -(w**2) / (stiffness + 1j * w * damping - w**2 * mass)
+    found = accelerance(locked, {}, frequency)
+    assert np.diagonal(found, axis1=1, axis2=2)[:, :2] == pytest.approx(expected, rel=1e-12)
+    assert np.abs(found).sum() == pytest.approx(np.abs(expected).sum(), rel=1e-12)
+    change = suspension_change(locked, {"supports.0.stiffness.0": 1.0}, frequency)
+    assert change[:, 1:] == pytest.approx(np.tile(np.diag([1.0, 1.0, 0.0])[1:], (3, 1, 1)), abs=1e-12)
+
+
 def test_faults_are_no_baseline(small_catalogue: Catalogue) -> None:
     """A worn joint, and one loose mount: common factors of the supports do not stand for it."""
     worn = Case(Fault({**FITS, "A": 3e-4}), {"contact.friction": 0.05})

@@ -24,6 +24,8 @@ WORN_JOINTS, LOOSENS = (1, 2, 0, 3, 1), 1
 REPAIRED, FOUND, MOVED, LATE, DOUBLED = 0.7, 0.5, 1 / 3, 0.1, 0.05
 #: Stiffness of a loosening mount at the last visit, as a part of what it was.
 LOOSE = 0.5
+#: Standard deviation of ln(stiffness) of all mounts from day to day: rubber is softer when it is warm.
+WARMTH = 0.05
 #: Error of a clearance that an inspection measures: part, and metres.
 INSPECTION = (0.05, 3e-6)
 
@@ -190,13 +192,20 @@ def _move_sensor(individual: Individual, draw: np.random.Generator) -> None:
 
 
 def _have_a_day(individual: Individual, draw: np.random.Generator) -> None:
-    """The oil is warmer or colder, and the output a little loaded."""
+    """The oil is warmer or colder, the output a little loaded, and the rubber of all mounts warmer or colder."""
     slippery, force = float(np.exp(draw.normal(0, 0.1))), float(draw.normal(0, 5.0))
+    stiff = float(np.exp(draw.normal(0, WARMTH)))
     contacts = {
         name: replace(each, friction=each.friction * slippery) for name, each in individual.machine.contacts.items()
     }
     individual.machine = loaded(replace(individual.machine, contacts=contacts), force)
-    individual.notes["day"] = {"friction_factor": round(slippery, 4), "load_n": round(force, 2)}
+    for place in range(len(individual.machine.mounts)):
+        individual.machine = soften(individual.machine, place, stiff)
+    individual.notes["day"] = {
+        "friction_factor": round(slippery, 4),
+        "load_n": round(force, 2),
+        "mounts_factor": round(stiff, 4),
+    }
 
 
 def _note(life: Life, number: int, visit: int) -> dict[str, Any]:
