@@ -13,14 +13,11 @@ from scipy.special import logit
 from jointplay.catalogue.diagnosing.answer import Answer
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.following.causes import follow_causes
-from jointplay.catalogue.following.evidence import error_of, read_answer, read_measured, weigh
+from jointplay.catalogue.following.evidence import Evidence, read_answer, read_measured, weigh
 from jointplay.catalogue.following.play import (
     REPAIRS,
-    REPAIRS_OF_WORN,
-    SOON,
     YEAR,
     JointBounds,
-    gain_of,
     let_pass,
     median_rate,
     quantiles,
@@ -34,9 +31,12 @@ from jointplay.solver.arrays import FloatArray
 SURE = 0.9
 """Probability of wear, by all recordings up to then, from which on it is sure."""
 
-ALIKE, ALIKE_OF_ERROR = 0.15, 0.85
-"""Standard deviation of ln(clearance) of what every recording of a machine has wrong alike; and the part of the error
-that a recording gives its own clearance which all others share: docs/decisions/0210."""
+ALIKE = 0.15
+"""Standard deviation of ln(clearance) of what every recording of a machine has wrong alike."""
+
+WHETHER, HOW_MUCH = 0.2, 0.7
+"""Powers of what recordings before have said when another one speaks, of whether a joint is worn and of its clearance
+if it is: most of what one has wrong others have wrong, too. docs/decisions/0212."""
 
 UNWORN = 0.5
 """Probability of wear below which a joint that was surely worn has been repaired."""
@@ -111,8 +111,8 @@ class _Joint:
     Parameters
     ----------
     bounds : JointBounds
-    alike : float
-        Standard deviation of ln(clearance) of what its recordings have wrong by a share of their own errors.
+    found : bool
+        Whether somebody has measured or mended it.
     moved : float
         By how much the last recording has changed P(worn).
     sure_since : datetime or None
@@ -120,20 +120,10 @@ class _Joint:
     """
 
     bounds: JointBounds
-    alike: float = 0.0
+    found: bool = False
     moved: float = 0.0
     sure_since: datetime | None = None
     course: list[CoursePoint] = field(default_factory=list)
-
-    @property
-    def error(self) -> float:
-        """Standard deviation of ln(clearance) of all that its recordings have wrong alike."""
-        return math.hypot(ALIKE, self.alike)
-
-    @property
-    def is_sure(self) -> bool:
-        """Whether the last recording was sure of wear."""
-        return bool(self.course) and self.course[-1].p_worn >= SURE
 
     def p_worn(self, marginal: FloatArray) -> float:
         """Probability of wear by that of clearances (X,)."""
@@ -141,7 +131,7 @@ class _Joint:
 
     def three(self, marginal: FloatArray) -> tuple[float, float, float]:
         """Quantiles 0.05, 0.5 and 0.95 of the clearance, um, by its probability (X,)."""
-        low, median, high = (1e6 * quantiles(marginal, _SHARES, self.error)).tolist()
+        low, median, high = (1e6 * quantiles(marginal, _SHARES, ALIKE)).tolist()
         return low, median, high
 
     def when_mended(self) -> datetime:
@@ -158,8 +148,10 @@ class _Following:
     Parameters
     ----------
     joints : mapping of str to _Joint
-    belief : ndarray, shape (J, D, S, X)
+    belief : ndarray, shape (J, S, X)
         What is believed of all joints.
+    unheard : ndarray, shape (J, S, X)
+        The same without recordings: as of any machine, or what has become of what somebody has found, or made.
     at : datetime or None
         Of what happened last.
     repairs : list of Repair
@@ -167,6 +159,7 @@ class _Following:
 
     joints: Mapping[str, _Joint]
     belief: FloatArray
+    unheard: FloatArray
     at: datetime | None = None
     repairs: list[Repair] = field(default_factory=list)
 
@@ -174,28 +167,31 @@ class _Following:
     def begin(cls, bounds: Mapping[str, JointBounds]) -> _Following:
         """A machine of which nothing is known."""
         belief = np.array([own.at_first() for own in bounds.values()])
-        return cls({name: _Joint(own) for name, own in bounds.items()}, belief)
+        return cls({name: _Joint(own) for name, own in bounds.items()}, belief, belief.copy())
 
     def pass_until(self, at: datetime) -> float:
         """Let joints wear until a moment, and return the time that has passed, s."""
         passed = (at - self.at).total_seconds() if self.at else 0.0
-        worn = np.array([joint.bounds.worn for joint in self.joints.values()])
-        self.belief, self.at = let_pass(self.belief, passed, worn[:, None, None]), at
+        found = [joint.found for joint in self.joints.values()]
+        if any(found):
+            self.unheard[found] = let_pass(self.unheard[found], passed)
+        self.belief, self.at = let_pass(self.belief, passed), at
         return passed
 
     def inspect(self, found: Inspection) -> None:
         """Hear what somebody has measured, and mended."""
-        for (name, joint), belief in zip(self.joints.items(), self.belief, strict=True):
+        each = zip(self.joints.items(), self.belief, self.unheard, strict=True)
+        for (name, joint), belief, unheard in each:
             if name in found.joints:
-                without = _marginal(belief)
-                belief *= read_measured(found.joints[name])
-                belief /= belief.sum()
-                joint.alike *= 1.0 - float(gain_of(without, _marginal(belief)))
+                for known in (belief, unheard):
+                    known *= read_measured(found.joints[name])
+                    known /= known.sum()
+                joint.found = True
                 if joint.p_worn(_marginal(belief)) < UNWORN:
                     joint.sure_since = None
             if name in found.repaired:
-                belief[:] = joint.bounds.mended(belief)
-                joint.alike, joint.sure_since = 0.0, None
+                belief[:] = unheard[:] = joint.bounds.as_new()
+                joint.found, joint.sure_since = True, None
                 self.repairs.append(Repair(at=found.at, joint=name, probability=1.0))
 
     def hear(self, answer: Answer, passed: float) -> None:
@@ -203,14 +199,19 @@ class _Following:
         assert self.at is not None
         without = _marginal(self.belief)
         self._let_mend(passed)
-        self.belief = self.belief * weigh(self.belief, read_answer(answer, self.bounds))
-        self.belief = self.belief / self.belief.sum(axis=(1, 2, 3), keepdims=True)
+        evidence, before = read_answer(answer, self.bounds), _marginal(self.belief)
+        whether, how_much = (self._beside(before, evidence, power) for power in (WHETHER, HOW_MUCH))
+        worn = np.array([joint.bounds.worn for joint in self.joints.values()])
+        said = np.zeros_like(before)
+        for which in (worn, ~worn):
+            likely, of = (np.sum(each * which, axis=1, keepdims=True) for each in (whether, how_much))
+            said += likely * which * how_much / np.maximum(of, 1e-300)
+        self.belief *= (said / np.maximum(before, 1e-300))[:, None]
+        self.belief /= self.belief.sum(axis=(1, 2), keepdims=True)
         marginal = _marginal(self.belief)
-        gains = gain_of(without, marginal)
         for j, (name, joint) in enumerate(self.joints.items()):
             p_worn, foretold = joint.p_worn(marginal[j]), joint.three(without[j])
             joint.moved = p_worn - joint.p_worn(without[j])
-            joint.alike += float(gains[j]) * (ALIKE_OF_ERROR * error_of(answer, name) - joint.alike)
             low, median, high = joint.three(marginal[j])
             joint.course.append(
                 CoursePoint(
@@ -228,6 +229,15 @@ class _Following:
                     self.repairs.append(Repair(at=joint.when_mended(), joint=name, probability=1.0 - p_worn))
                 joint.sure_since = None
 
+    def _beside(self, before: FloatArray, evidence: Evidence, power: float) -> FloatArray:
+        """Return the probability of clearances (J, X) by a recording, beside a power of what others have said."""
+        # Where it tells nothing of any joint, nothing is forgotten.
+        forgotten = (1.0 - power) * evidence.tells
+        remembered = before ** (1.0 - forgotten) * _marginal(self.unheard) ** forgotten
+        remembered /= remembered.sum(axis=1, keepdims=True)
+        factor, silent = weigh(remembered, evidence)
+        return (1.0 - silent) * factor * remembered + silent * before
+
     @property
     def bounds(self) -> dict[str, JointBounds]:
         """Of all joints."""
@@ -235,22 +245,18 @@ class _Following:
 
     def _let_mend(self, passed: float) -> None:
         """Let joints have been mended without a word in a time, s."""
-        known = np.array([joint.is_sure for joint in self.joints.values()])
-        expected = REPAIRS * passed + known * (REPAIRS_OF_WORN - REPAIRS) * min(passed, SOON)
-        share = -np.expm1(-expected)[:, None, None, None]
-        each = zip(self.joints.values(), self.belief, strict=True)
-        mended = np.array([joint.bounds.mended(belief) for joint, belief in each])
+        share = -math.expm1(-REPAIRS * passed)
+        mended = np.array([joint.bounds.as_new() for joint in self.joints.values()])
         self.belief = (1.0 - share) * self.belief + share * mended
 
     def tell(self) -> dict[str, JointFollowed]:
         """What is said of all joints at last."""
         assert self.at is not None
-        belief = self.belief.sum(axis=1)
-        errors = np.array([joint.error for joint in self.joints.values()])
-        over, times = reach(belief, list(self.bounds.values()), errors, _SHARES)
+        limits = np.array([joint.bounds.limit for joint in self.joints.values()])
+        over, times = reach(self.belief, limits, ALIKE, _SHARES)
         found = {}
         for j, (name, joint) in enumerate(self.joints.items()):
-            marginal = belief[j].sum(axis=0)
+            marginal = _marginal(self.belief[j])
             low, median, high = joint.three(marginal)
             early, likely, late = (
                 self.at + timedelta(seconds=seconds) if seconds < math.inf else None for seconds in times[j].tolist()
@@ -260,7 +266,7 @@ class _Following:
                 p_over_limit=float(over[j]),
                 clearance_um=median,
                 interval_um=(low, high),
-                um_per_year=1e6 * YEAR * median_rate(belief[j]),
+                um_per_year=1e6 * YEAR * median_rate(self.belief[j]),
                 limit_um=round(1e6 * joint.bounds.limit, 6),
                 limit_at=(early, likely, late),
                 first_sure_at=joint.sure_since,
@@ -271,5 +277,5 @@ class _Following:
 
 
 def _marginal(belief: FloatArray) -> FloatArray:
-    """Probability (..., X) of clearances by what is believed of them (..., D, S, X)."""
-    return np.asarray(belief.sum(axis=(-3, -2)))
+    """Probability (..., X) of clearances by what is believed of them (..., S, X)."""
+    return np.asarray(belief.sum(axis=-2))

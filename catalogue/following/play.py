@@ -1,16 +1,13 @@
 """The play of every joint over time: a clearance that never falls by itself, and the rate at which it grows.
 
-A machine is never quite the catalogue's: in all its recordings a joint has some micrometres more or less than it
-really has. So much stays the same while it wears, which is how a machine's own past tells what has changed.
-
-Beliefs are numbers on a grid: of each joint one for every such excess, rate and clearance. Joints wear each by itself;
-what a recording says of several at once is kept as far as it concerns each one (assumed density filtering).
+Beliefs are numbers on a grid: of each joint one for every rate and clearance. Joints wear each by itself; what a
+recording says of several at once is kept as far as it concerns each one (assumed density filtering).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +18,7 @@ from scipy.special import ndtr
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.plans.cases import BEYOND_FIT
 from jointplay.catalogue.plans.plan_parts import ClearanceRange
-from jointplay.solver.arrays import BoolArray, FloatArray, IntArray
+from jointplay.solver.arrays import BoolArray, FloatArray
 from jointplay.solver.machines.machine import Machine
 
 LEAST, MOST, STEP = 1e-6, 6e-3, 0.04
@@ -36,31 +33,24 @@ USUAL, SCATTER = 3.2e-12, 2.0
 RESTING, ANY = 0.5, 0.05
 """Share of joints that do not wear for now; and of rates of which nothing is known, as on a test rig."""
 
-TOO_SMALL, TOO_LARGE = 5e-6, 10e-6
-"""What a joint's clearance is seen too small, or too large, by in all recordings of a machine, m (standard deviations):
-what differs from the catalogue looks like play rather than takes it away."""
-
-MOST_EXCESS, EXCESS_STEP = 24e-6, 6e-6
-"""Of the grid, m."""
-
 YEAR = 365.25 * 86400.0
 
 CHANGES = 1.0 / YEAR
 """How often a joint begins to wear at another rate, 1/s."""
 
 JUMPS, JUMP = 1.0 / YEAR, 0.5
-"""How often a worn joint suddenly has more play, 1/s, and how much larger ln(clearance) then is in the mean: surfaces
-break out, bushes come loose."""
+"""How often a joint suddenly has more play, 1/s, and how much larger ln(clearance) then is in the mean: surfaces break
+out, bushes come loose."""
 
-REPAIRS, REPAIRS_OF_WORN, SOON = 0.2 / YEAR, 1.0 / YEAR, 0.25 * YEAR
-"""How often a joint is made as new without a word, 1/s; one that was surely worn by the recording before, and for how
-long after that, s."""
+REPAIRS = 0.2 / YEAR
+"""How often a joint is made as new without a word, 1/s."""
 
 NEVER = 100.0 * YEAR
 """Time, s, beyond which nothing is foretold."""
 
-WORN_AT_FIRST = 0.1
-"""Probability of a joint to be worn when nothing is known of it."""
+ANY_PLAY = 0.4
+"""Share of joints of which nothing is known that may have any play, rather than that of their fit: with usual fits a
+quarter of all are worn."""
 
 
 def _rates() -> FloatArray:
@@ -82,28 +72,6 @@ RATES: FloatArray = _rates()
 
 LIKELY_RATES: FloatArray = _likely_rates(RATES)
 """Probability of each beforehand, (S,)."""
-
-
-EXCESSES: FloatArray = np.arange(-MOST_EXCESS, MOST_EXCESS + 0.5 * EXCESS_STEP, EXCESS_STEP)
-"""m, (D,)."""
-
-
-def _likely_excesses() -> FloatArray:
-    likely = np.exp(-0.5 * (EXCESSES / np.where(EXCESSES < 0.0, TOO_SMALL, TOO_LARGE)) ** 2)
-    return np.asarray(likely / likely.sum())
-
-
-LIKELY_EXCESSES: FloatArray = _likely_excesses()
-"""Probability of each beforehand, (D,)."""
-
-
-def _seen_at() -> IntArray:
-    seen = np.log(np.maximum(np.exp(AXIS) + EXCESSES[:, None], LEAST))
-    return np.asarray(np.clip(np.rint((seen - AXIS[0]) / STEP), 0, len(AXIS) - 1), np.int64)
-
-
-SEEN_AT: IntArray = _seen_at()
-"""Place on the grid at which each clearance is seen with each excess, (D, X)."""
 
 
 _NEXT = math.exp(-STEP / JUMP)
@@ -143,14 +111,9 @@ class JointBounds:
         return np.asarray(LIKELY_RATES[:, None] * (play / play.sum()))
 
     def at_first(self) -> FloatArray:
-        """Probability (D, S, X) of a joint of which nothing is known."""
-        anywhere = LIKELY_RATES[:, None] * (self.worn / self.worn.sum())
-        play = (1.0 - WORN_AT_FIRST) * self.as_new() + WORN_AT_FIRST * anywhere
-        return np.asarray(LIKELY_EXCESSES[:, None, None] * play)
-
-    def mended(self, belief: FloatArray) -> FloatArray:
-        """What is believed of the joint (D, S, X) when it is made as new: its excess stays."""
-        return np.asarray(belief.sum(axis=(1, 2))[:, None, None] * self.as_new())
+        """Probability (S, X) of a joint of which nothing is known."""
+        anywhere = LIKELY_RATES[:, None] / len(AXIS)
+        return np.asarray((1.0 - ANY_PLAY) * self.as_new() + ANY_PLAY * anywhere)
 
 
 def bounds_of(machine: Machine, joints: Iterable[str]) -> dict[str, JointBounds]:
@@ -175,16 +138,11 @@ def bounds_of(machine: Machine, joints: Iterable[str]) -> dict[str, JointBounds]
     return found
 
 
-def let_pass(belief: FloatArray, seconds: float, worn: BoolArray) -> FloatArray:
+def let_pass(belief: FloatArray, seconds: float) -> FloatArray:
     """Return what is believed of joints (..., S, X) some time later, if nobody mends them.
 
-    Each grows at its rate; some begin to grow at another one, and some that are worn jump. What would grow beyond the
-    grid stays at its end.
-
-    Parameters
-    ----------
-    worn : ndarray of bool, shape (..., 1, X)
-        Which clearances of each joint are wear.
+    Each grows at its rate; some begin to grow at another one, and some jump. What would grow beyond the grid stays at
+    its end.
     """
     if seconds <= 0.0:
         return belief
@@ -192,12 +150,12 @@ def let_pass(belief: FloatArray, seconds: float, worn: BoolArray) -> FloatArray:
     mixed = (1.0 - change) * belief + change * LIKELY_RATES[:, None] * belief.sum(axis=-2, keepdims=True)
     # In so many parts that there are few jumps in one; after it a joint may wear at any rate.
     parts = max(1, math.ceil(2.0 * JUMPS * seconds))
-    share = -math.expm1(-JUMPS * seconds / parts) * worn
+    jumping = -math.expm1(-JUMPS * seconds / parts)
     for _ in range(parts):
-        before = share * mixed.sum(axis=-2, keepdims=True)
+        before = jumping * mixed.sum(axis=-2, keepdims=True)
         after = lfilter([1.0 - _NEXT], [1.0, -_NEXT], before, axis=-1)
         after[..., -1] += before.sum(axis=-1) - after.sum(axis=-1)
-        mixed = (1.0 - share) * mixed + LIKELY_RATES[:, None] * after
+        mixed = (1.0 - jumping) * mixed + LIKELY_RATES[:, None] * after
     size, places = len(AXIS), np.arange(len(AXIS))
     reached = np.log(np.exp(AXIS) + RATES[:, None] * seconds)
     place = np.clip((reached - AXIS[0]) / STEP, places, size - 1.0)  # never back by a rounding
@@ -228,35 +186,21 @@ def quantiles(marginal: FloatArray, shares: FloatArray, blur: float = 0.0) -> Fl
     return found
 
 
-def gain_of(without: FloatArray, marginal: FloatArray) -> FloatArray:
-    """Return the part of what is known of clearances (..., X) that came by what made one belief into another, (...).
-
-    As a Kalman filter's gain: by how much the variance of ln(clearance) fell; 0 where it rose.
-    """
-    before, after = (
-        np.sum(each * AXIS**2, axis=-1) - np.sum(each * AXIS, axis=-1) ** 2 for each in (without, marginal)
-    )
-    return np.asarray(np.clip((before - after) / np.maximum(before, 1e-12), 0.0, 1.0))
-
-
-def reach(
-    belief: FloatArray, bounds: Sequence[JointBounds], alike: FloatArray, shares: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return the probabilities (J,) that joints (J, S, X) have reached their limits, and when they will have.
+def reach(belief: FloatArray, limits: FloatArray, alike: float, shares: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the probabilities (J,) that joints (J, S, X) have reached their limits (J,), m, and when they will have.
 
     The latter with probabilities (m,): times (J, m), s, infinite beyond a century. Joints go on as they do, and some
     begin to grow at another rate; nobody mends them.
 
     Parameters
     ----------
-    alike : ndarray, shape (J,)
+    alike : float
         Standard deviation of ln(clearance) of what every recording has wrong alike.
     """
-    limits, worn = (np.array(each) for each in zip(*((own.limit, own.worn) for own in bounds), strict=True))
-    over = ndtr((AXIS - np.log(limits)[:, None]) / alike[:, None])
+    over = ndtr((AXIS - np.log(limits)[:, None]) / alike)
     reached = [np.sum(belief.sum(axis=-2) * over, axis=-1)]
     for seconds in np.diff(_MOMENTS).tolist():
-        belief = let_pass(belief, seconds, worn[:, None])
+        belief = let_pass(belief, seconds)
         reached.append(np.sum(belief.sum(axis=-2) * over, axis=-1))
     course = np.maximum.accumulate(np.array(reached))  # never back by a rounding
     times = [np.interp(shares, each, _MOMENTS, right=math.inf) for each in course.T]

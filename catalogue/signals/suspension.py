@@ -56,7 +56,7 @@ def accelerance(machine: Machine, parameters: Mapping[str, float], frequency: Fl
     dynamic = -(circular**2) * inertial + 1j * circular * damping + stiffness
     free = np.zeros((3, 3))
     free[np.ix_(free_motions(machine), free_motions(machine))] = 1.0
-    return np.asarray(-(circular**2) * inverse_of(dynamic * free), dtype=np.complex128)
+    return np.asarray(-(circular**2) * inverse_of(np.asarray(dynamic * free, np.complex128)), dtype=np.complex128)
 
 
 def inverse_of(matrices: AnyComplexArray) -> ComplexArray:
