@@ -36,15 +36,16 @@ class Evidence:
         Of the explanations, against what was likely before.
     densities : ndarray, shape (H, J, X)
         Likelihood of each clearance in each explanation, relative to what is likely before.
-    tells : float
-        How surely it tells of any joint whether it is worn: 0 where that is as likely as before, 1 where it is sure.
+    tells : ndarray, shape (J,)
+        How surely it tells of any joint whether it is worn, 0 where that is as likely as before and 1 where it is sure;
+        and 0 of joints that it cannot speak of.
     slip : float
         Probability that all of it says nothing.
     """
 
     weights: FloatArray
     densities: FloatArray
-    tells: float
+    tells: FloatArray
     slip: float
 
 
@@ -59,21 +60,22 @@ def read_answer(answer: Answer, bounds: Mapping[str, JointBounds]) -> Evidence:
     """
     prior = Prior(answer.prior.worn, answer.prior.another, answer.prior.joints)
     most = max(len(match.joints) for match in answer.hypotheses)
-    before = np.array([prior.weight(match.joints, len(bounds), most) for match in answer.hypotheses])
+    before = np.array([prior.weight(match.joints, len(answer.joints), most) for match in answer.hypotheses])
     before = before / before.sum()
     found = np.maximum([match.probability for match in answer.hypotheses], 1e-12)
     worn = np.array([[joint in match.joints for joint in bounds] for match in answer.hypotheses])
-    unsettled = worn[:, worn.any(axis=0) & ~worn.all(axis=0)]
+    spoken = worn.any(axis=0) & ~worn.all(axis=0)
+    unsettled = worn[:, spoken]
     odds = (found @ unsettled) / (found @ ~unsettled) * (before @ ~unsettled) / (before @ unsettled)
     heard = answer.baseline is not None and answer.baseline.heard
     densities = np.array(
         [[_density(match.joints.get(joint), own) for joint, own in bounds.items()] for match in answer.hypotheses]
     )
-    densities[:, ~worn.any(axis=0)] = 1.0  # that a catalogue never wears a joint says nothing of it
+    densities[:, ~spoken] = 1.0  # that a catalogue never wears a joint, or always, says nothing of it
     # That a machine is not as its file says is no doubt where it is compared with itself.
     odd = answer.verdict == "unknown" or (answer.verdict == "changed" and not heard)
     doubted = odd or answer.goodness_of_fit.p_value < UNKNOWN_BELOW
-    tells = 1.0 - float(np.minimum(odds, 1.0 / odds).min(initial=1.0))
+    tells = spoken * (1.0 - np.minimum(odds, 1.0 / odds).min(initial=1.0))
     return Evidence(found / before, densities, tells, 1.0 if answer.sensors else DOUBTED if doubted else SLIP)
 
 

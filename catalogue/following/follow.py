@@ -26,7 +26,7 @@ from jointplay.catalogue.following.play import (
 from jointplay.catalogue.following.state import CoursePoint, JointFollowed, Repair, WearState
 from jointplay.catalogue.following.teaching import Correction
 from jointplay.catalogue.following.visits import Inspection, Visit, put_in_order
-from jointplay.solver.arrays import FloatArray
+from jointplay.solver.arrays import BoolArray, FloatArray
 
 SURE = 0.9
 """Probability of wear, by all recordings up to then, from which on it is sure."""
@@ -76,11 +76,11 @@ def follow(
     events = put_in_order(visits, inspections)
     following = _Following.begin(bounds)
     for event in events:
-        passed = following.pass_until(event.at)
+        following.pass_until(event.at)
         if isinstance(event, Inspection):
             following.inspect(event)
         else:
-            following.hear(taught.apply(event.answer), passed)
+            following.hear(taught.apply(event.answer))
     heard = [event for event in events if isinstance(event, Visit)]
     return WearState(
         at=events[-1].at,
@@ -169,14 +169,15 @@ class _Following:
         belief = np.array([own.at_first() for own in bounds.values()])
         return cls({name: _Joint(own) for name, own in bounds.items()}, belief, belief.copy())
 
-    def pass_until(self, at: datetime) -> float:
-        """Let joints wear until a moment, and return the time that has passed, s."""
+    def pass_until(self, at: datetime) -> None:
+        """Let joints wear until a moment, and some have been mended without a word."""
         passed = (at - self.at).total_seconds() if self.at else 0.0
+        share = -math.expm1(-REPAIRS * passed)
+        mended = share * np.array([joint.bounds.as_new() for joint in self.joints.values()])
         found = [joint.found for joint in self.joints.values()]
+        self.belief, self.at = (1.0 - share) * let_pass(self.belief, passed) + mended, at
         if any(found):
-            self.unheard[found] = let_pass(self.unheard[found], passed)
-        self.belief, self.at = let_pass(self.belief, passed), at
-        return passed
+            self.unheard[found] = (1.0 - share) * let_pass(self.unheard[found], passed) + mended[found]
 
     def inspect(self, found: Inspection) -> None:
         """Hear what somebody has measured, and mended."""
@@ -194,19 +195,11 @@ class _Following:
                 joint.found, joint.sure_since = True, None
                 self.repairs.append(Repair(at=found.at, joint=name, probability=1.0))
 
-    def hear(self, answer: Answer, passed: float) -> None:
-        """Hear an answer to a recording, so many seconds after what happened before."""
+    def hear(self, answer: Answer) -> None:
+        """Hear an answer to a recording of now."""
         assert self.at is not None
         without = _marginal(self.belief)
-        self._let_mend(passed)
-        evidence, before = read_answer(answer, self.bounds), _marginal(self.belief)
-        whether, how_much = (self._beside(before, evidence, power) for power in (WHETHER, HOW_MUCH))
-        worn = np.array([joint.bounds.worn for joint in self.joints.values()])
-        said = np.zeros_like(before)
-        for which in (worn, ~worn):
-            likely, of = (np.sum(each * which, axis=1, keepdims=True) for each in (whether, how_much))
-            said += likely * which * how_much / np.maximum(of, 1e-300)
-        self.belief *= (said / np.maximum(before, 1e-300))[:, None]
+        self.belief *= (self._beside(without, read_answer(answer, self.bounds)) / np.maximum(without, 1e-300))[:, None]
         self.belief /= self.belief.sum(axis=(1, 2), keepdims=True)
         marginal = _marginal(self.belief)
         for j, (name, joint) in enumerate(self.joints.items()):
@@ -229,25 +222,27 @@ class _Following:
                     self.repairs.append(Repair(at=joint.when_mended(), joint=name, probability=1.0 - p_worn))
                 joint.sure_since = None
 
-    def _beside(self, before: FloatArray, evidence: Evidence, power: float) -> FloatArray:
-        """Return the probability of clearances (J, X) by a recording, beside a power of what others have said."""
+    def _beside(self, before: FloatArray, evidence: Evidence) -> FloatArray:
+        """Return the probability of clearances (J, X) by a recording, beside what others have said (J, X)."""
+        worn = np.array([joint.bounds.worn for joint in self.joints.values()])
+        unheard = _marginal(self.unheard)
         # Where it tells nothing of any joint, nothing is forgotten.
-        forgotten = (1.0 - power) * evidence.tells
-        remembered = before ** (1.0 - forgotten) * _marginal(self.unheard) ** forgotten
-        remembered /= remembered.sum(axis=1, keepdims=True)
-        factor, silent = weigh(remembered, evidence)
-        return (1.0 - silent) * factor * remembered + silent * before
+        whether, how_much = ((1.0 - power) * evidence.tells[:, None] for power in (WHETHER, HOW_MUCH))
+        clearances = before ** (1.0 - how_much) * unheard**how_much
+        likely = _share(before, worn) ** (1.0 - whether) * _share(unheard, worn) ** whether
+        likely = likely / (likely + _share(before, ~worn) ** (1.0 - whether) * _share(unheard, ~worn) ** whether)
+        # How likely clearances are made that agree with others says nothing of whether: all err alike.
+        said = []
+        for shape in (unheard, clearances):
+            remembered = _with_share(shape, worn, likely)
+            factor, silent = weigh(remembered, evidence)
+            said.append((1.0 - silent) * factor * remembered + silent * before)
+        return _with_share(said[1], worn, _share(said[0], worn))
 
     @property
     def bounds(self) -> dict[str, JointBounds]:
         """Of all joints."""
         return {name: joint.bounds for name, joint in self.joints.items()}
-
-    def _let_mend(self, passed: float) -> None:
-        """Let joints have been mended without a word in a time, s."""
-        share = -math.expm1(-REPAIRS * passed)
-        mended = np.array([joint.bounds.as_new() for joint in self.joints.values()])
-        self.belief = (1.0 - share) * self.belief + share * mended
 
     def tell(self) -> dict[str, JointFollowed]:
         """What is said of all joints at last."""
@@ -274,6 +269,17 @@ class _Following:
                 course=tuple(joint.course),
             )
         return found
+
+
+def _share(marginal: FloatArray, which: BoolArray) -> FloatArray:
+    """Part (J, 1) of the probability of clearances (J, X) that is of those (J, X)."""
+    return np.asarray(np.sum(marginal * which, axis=1, keepdims=True))
+
+
+def _with_share(marginal: FloatArray, which: BoolArray, share: FloatArray) -> FloatArray:
+    """Probability of clearances (J, X) of which so much (J, 1) is of those (J, X), else as it was."""
+    inside, outside = (np.maximum(_share(marginal, each), 1e-300) for each in (which, ~which))
+    return np.where(which, marginal / inside * share, marginal / outside * (1.0 - share))
 
 
 def _marginal(belief: FloatArray) -> FloatArray:

@@ -43,12 +43,11 @@ def answer(
     width: float = 0.15,
     verdict: str = "worn",
     causes: tuple[Cause, ...] = (),
-    detectable_um: float | None = None,
     heard: bool = False,
 ) -> Diagnosis:
     """Return an answer with so much evidence (ln) for wear in each joint, and clearances [m] where they are worn.
 
-    Wear shows from so much on, or from 36 to 44 um; and the machine's own past was heard, or not.
+    The machine's own past was heard, or not.
     """
     prior = Prior()
     weights = np.array([prior.weight(names, 3, 3) * math.exp(sum(evidence[name] for name in names)) for names in SETS])
@@ -69,9 +68,6 @@ def answer(
         "goodness_of_fit": GoodnessOfFit(p_value=0.5),
         "baseline": PAST if heard else None,
     }
-    if detectable_um is not None:
-        shown = {"detectable_from_um": detectable_um}
-        update["joints"] = {name: state.model_copy(update=shown) for name, state in _SOME.joints.items()}
     return _SOME.model_copy(update=update)
 
 
