@@ -19,7 +19,6 @@ from jointplay.catalogue.following.play import (
     YEAR,
     JointBounds,
     let_pass,
-    median_rate,
     quantiles,
     reach,
 )
@@ -249,6 +248,7 @@ class _Following:
         assert self.at is not None
         limits = np.array([joint.bounds.limit for joint in self.joints.values()])
         over, times = reach(self.belief, limits, ALIKE, _SHARES)
+        in_a_year = _marginal(let_pass(self.belief, YEAR))
         found = {}
         for j, (name, joint) in enumerate(self.joints.items()):
             marginal = _marginal(self.belief[j])
@@ -261,7 +261,7 @@ class _Following:
                 p_over_limit=float(over[j]),
                 clearance_um=median,
                 interval_um=(low, high),
-                um_per_year=1e6 * YEAR * median_rate(self.belief[j]),
+                um_per_year=joint.three(in_a_year[j])[1] - median,
                 limit_um=round(1e6 * joint.bounds.limit, 6),
                 limit_at=(early, likely, late),
                 first_sure_at=joint.sure_since,

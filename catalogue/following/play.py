@@ -205,9 +205,3 @@ def reach(belief: FloatArray, limits: FloatArray, alike: float, shares: FloatArr
     course = np.maximum.accumulate(np.array(reached))  # never back by a rounding
     times = [np.interp(shares, each, _MOMENTS, right=math.inf) for each in course.T]
     return np.minimum(course[0], 1.0), np.array(times)
-
-
-def median_rate(belief: FloatArray) -> float:
-    """Return the rate of growth of a joint (S, X), m/s, that it exceeds as probably as not; that of the grid."""
-    below = np.cumsum(belief.sum(axis=1))
-    return float(RATES[int(np.searchsorted(below, 0.5 * below[-1]))])

@@ -50,8 +50,8 @@ def test_wear_is_followed() -> None:
     found = state.joints["B"]
     assert found.p_worn > 0.99
     assert found.interval_um[0] < 1e6 * true[-1]["B"] < found.interval_um[1]
-    # 15 um in 30 days; rates of the grid are factors of two apart.
-    assert 0.4 < found.um_per_year / (15.0 * YEAR / (30 * 86400.0)) < 2.5
+    # 15 um in 30 days: measured 0.76 to 0.94.
+    assert 0.5 < found.um_per_year / (15.0 * YEAR / (30 * 86400.0)) < 2.0
     assert all(state.joints[name].p_worn < 0.5 for name in "AO")
     assert state.visits == 30 and not state.repairs
     since = (found.first_sure_at or BEGIN) - BEGIN
