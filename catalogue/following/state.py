@@ -45,7 +45,7 @@ class JointFollowed(Frozen):
     clearance_um, interval_um : float
         Median and central 90 % interval, micrometres.
     um_per_year : float
-        Median of what it grows by.
+        By how much the median grows in the year to come, if nobody mends it.
     limit_um : float
         From which on it is worn out.
     limit_at : (datetime or None, datetime or None, datetime or None)
