@@ -59,7 +59,9 @@ def test_wear_is_followed() -> None:
 
 
 def test_intervals_hold() -> None:
-    """Of clearances of a worn joint, and of the next visit's before it is heard: measured 0.91 to 0.99."""
+    """Of clearances of a worn joint, and of the next visit's before it is heard: measured 1.00, as these
+    answers err each by itself.
+    """
     held = foretold = count = 0
     for seed in range(8):
         true = wears(30, um_a_visit=4.0 + 3.0 * seed)
@@ -110,7 +112,7 @@ def test_what_others_were_sure_of_is_taken_back_by_what_is_as_sure() -> None:
         state = followed([*visits, Visit(visits[-1].at + timedelta(days=30), "q", told)])
         found.append(state.joints["B"].p_worn)
         assert state.joints["B"].moved_by == pytest.approx(found[-1] - known.p_worn, abs=0.05)
-    assert found[0] > 0.95 and 0.2 < found[1] < 0.5 and found[2] < 0.15  # measured 0.98, 0.36, 0.08
+    assert found[0] > 0.95 and 0.2 < found[1] < 0.5 and found[2] < 0.15  # measured 0.98, 0.27, 0.06
 
 
 def test_silence_is_no_repair() -> None:
@@ -122,7 +124,7 @@ def test_silence_is_no_repair() -> None:
     often = [Visit(visits[-1].at + timedelta(days=30 * number), str(number), silent) for number in range(1, 13)]
     for quiet in ([late], often):
         state = followed([*visits, *quiet])
-        assert state.joints["B"].p_worn > 0.5 and not state.repairs  # measured 0.56 and 0.83
+        assert state.joints["B"].p_worn > 0.5 and not state.repairs  # measured 0.68 and 0.90
 
 
 def test_a_repair_was_where_wear_fell_most() -> None:
@@ -187,7 +189,7 @@ def test_a_recording_that_the_machine_does_not_explain_says_little() -> None:
         for verdict, heard in (("worn", False), ("changed", False), ("changed", True))
     )
     assert beside_itself == worn
-    assert 1.0 - changed > 2.0 * (1.0 - worn)  # measured 0.84 and 0.94
+    assert 1.0 - changed > 2.0 * (1.0 - worn)  # measured 0.90 and 0.96
 
 
 def test_an_answer_and_the_state_agree_on_a_machine_that_is_new_to_both() -> None:
@@ -211,7 +213,8 @@ def test_recordings_that_say_the_same_do_not_count_each_anew() -> None:
         return math.log(found / (1.0 - found))
 
     for evidence in (-1.0, 0.0, 2.0):
-        assert abs(odds(100, evidence) - odds(1, evidence)) < 0.9  # measured -0.1, 0.4, 0.7
+        # A quarter more at last; 3 % of recordings that say nothing take some of it away.
+        assert odds(100, evidence) - odds(1, evidence) == pytest.approx(0.25 * evidence, abs=0.1)
 
 
 def test_a_mount_that_loosens_is_followed() -> None:
