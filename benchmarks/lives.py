@@ -1,11 +1,11 @@
 """Lives of machines by the second simulator of the tests: what single answers and the state of wear say, and the truth.
 
     PYTHONPATH=tests python -m second_simulator --protocol lives --machine slider-crank --count 180 --out recordings
-    python -m benchmarks.lives recordings --catalogues DIR [--answers answers.jsonl]
+    python -m benchmarks.lives recordings --catalogues DIR [--effort thorough] [--answers answers.jsonl]
 
-Every recording is diagnosed by itself, and beside the first ones of its machine; answers are kept in a file, one a
-line, so that judging again costs little and what was broken off goes on. Figures are those of `jointplay evaluate
---protocol lives`.
+Every recording is diagnosed by itself, and, with that effort, beside the first ones of its machine; answers are kept in
+a file, one a line, so that judging again costs little and what was broken off goes on. Figures are those of `jointplay
+evaluate --protocol lives`.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from jointplay.catalogue.evaluation.life_figures import Life, LifeVisit, figures
 from jointplay.catalogue.evaluation.lives import BASELINES
 from jointplay.catalogue.following.play import bounds_of
 from jointplay.catalogue.following.visits import Inspection
+from jointplay.catalogue.matching.modes import Effort
 from jointplay.catalogue.measurements.measured_spectrum import read_recording
 from jointplay.catalogue.measurements.measurement import read_measurement
 from jointplay.catalogue.storage.store import Catalogue
@@ -35,7 +36,9 @@ from jointplay.catalogue.storage.store import Catalogue
 UM = 1e-6
 
 
-def told(folder: Path, catalogues: Path, kept: Path, only: str) -> Iterator[tuple[Catalogue, list[Life]]]:
+def told(
+    folder: Path, catalogues: Path, kept: Path, only: str, effort: Effort
+) -> Iterator[tuple[Catalogue, list[Life]]]:
     """Yield the lives of every machine that has a catalogue, diagnosing what has no answer yet."""
     truths = {
         name: truth for file in folder.rglob("truth.json") for name, truth in json.loads(file.read_text()).items()
@@ -56,7 +59,7 @@ def told(folder: Path, catalogues: Path, kept: Path, only: str) -> Iterator[tupl
                 own.append(name)
                 if name not in answers:
                     first = [next(folder.rglob(f"{each}.npz")) for each in own[:BASELINES] if each != name]
-                    answers[name] = _diagnose(name, next(folder.rglob(f"{name}.npz")), first, catalogue)
+                    answers[name] = _diagnose(name, next(folder.rglob(f"{name}.npz")), first, catalogue, effort)
                     print(json.dumps(answers[name]), file=out, flush=True)
         yield (
             catalogue,
@@ -72,7 +75,7 @@ def _place(truth: Mapping[str, Any]) -> tuple[int, int]:
     return (truth["life"]["number"], truth["life"]["visit"]) if "life" in truth else (0, 0)
 
 
-def _diagnose(name: str, file: Path, first: list[Path], catalogue: Catalogue) -> dict[str, Any]:
+def _diagnose(name: str, file: Path, first: list[Path], catalogue: Catalogue, effort: Effort) -> dict[str, Any]:
     """One line: name, checksum, seconds, and the answers without their evidence, or why there is none."""
     began = time.perf_counter()
     found: dict[str, Any]
@@ -80,7 +83,7 @@ def _diagnose(name: str, file: Path, first: list[Path], catalogue: Catalogue) ->
     baseline = [read_measurement(each) for each in first]
     try:
         alone = diagnose(recording, catalogue)
-        answer = diagnose(recording, catalogue, baseline=baseline) if baseline else alone
+        answer = diagnose(recording, catalogue, effort=effort, baseline=baseline) if baseline else alone
         found = {
             what: each.model_copy(update={"evidence": Evidence(orders=(), bands=())}).model_dump(mode="json")
             for what, each in (("answer", answer), ("alone", alone))
@@ -125,11 +128,12 @@ def main() -> int:
     parser.add_argument("recordings", type=Path)
     parser.add_argument("--catalogues", type=Path, required=True, help="folder with one catalogue a machine")
     parser.add_argument("--answers", type=Path, help="file of answers; answers.jsonl beside the recordings")
+    parser.add_argument("--effort", choices=("fast", "standard", "thorough"), default="standard")
     parser.add_argument("--only", default="", help="recordings with this in their name")
     given = parser.parse_args()
     kept = given.answers or given.recordings / "answers.jsonl"
     judged = []
-    for catalogue, lives in told(given.recordings, given.catalogues, kept, given.only):
+    for catalogue, lives in told(given.recordings, given.catalogues, kept, given.only, given.effort):
         bounds = bounds_of(catalogue.machine, catalogue.machine.wearing_joints)
         judged += [judge_life(life, bounds) for life in lives]
     if judged:

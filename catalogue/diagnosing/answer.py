@@ -206,12 +206,12 @@ class PriorUsed(Frozen):
 
 
 class EffortSpent(Frozen):
-    """What was computed for this answer alone, besides comparing with the catalogue.
+    """What was simulated for this answer, or for its machine when an earlier one was asked for.
 
     Attributes
     ----------
     simulations, generations : int
-        Cases of the machine as found that were simulated, in how many rounds.
+        Cases of the machine as found, or as its baseline tells it, and in how many rounds.
     note : str
         Why there were none or no more, and what they changed; empty for other efforts than thorough.
     """

@@ -8,16 +8,16 @@ what the first cases say of clearances and load. Both go through the matcher tha
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
 from jointplay.catalogue.diagnosing.causes import NamedCause
-from jointplay.catalogue.diagnosing.found_cases import ToldNumbers, changed, draw_cases, simulate_cases
+from jointplay.catalogue.diagnosing.found_cases import changed, draw_cases, simulate_cases
 from jointplay.catalogue.diagnosing.found_spectra import FoundSpectra
 from jointplay.catalogue.diagnosing.stroke_loads import FoundLoad, find_load
-from jointplay.catalogue.diagnosing.told_numbers import CASES
 from jointplay.catalogue.matching.learning import Learning, training_set
 from jointplay.catalogue.matching.matcher import HypothesisMatch, MatchResult, rank
 from jointplay.catalogue.matching.model_library import ModelLibrary, Observed, one_thread
@@ -98,7 +98,6 @@ def refine(
     *,
     mode: ModeAsked = "auto",
     prior: Prior | None = None,
-    tell: Callable[[], tuple[FoundLoad | None, ToldNumbers | None]] = lambda: (None, None),
     cases: int,
 ) -> Refined:
     """Simulate the machine as found where that can change the answer.
@@ -117,10 +116,8 @@ def refine(
         How the cases are learned from; with "robust" none are simulated.
     prior : Prior, optional
         That of the answer; the usual one unless given.
-    tell : callable, optional
-        Returns load and numbers that recordings of the machine in order have told.
     cases : int
-        How many may be simulated, of all sets together; some are in any case. Those of the machine in order are more.
+        How many may be simulated, of all sets together; some are in any case.
 
     Returns
     -------
@@ -128,24 +125,19 @@ def refine(
         The same for the same arguments.
     """
     prior = prior or Prior()
-    if mode == "robust":
-        return Refined(result, 0, 0, "simulated is a machine like its file, which mode robust does not take it to be")
-    if not result.is_doubted and result.best.probability > CERTAIN and len(candidates) <= 1:
-        return Refined(result, 0, 0, f"certain already: {result.best.label} has more than {CERTAIN:g}")
+    if reason := settled(result, candidates, mode):
+        return Refined(result, 0, 0, reason)
     chosen = sets_to_simulate(result)
-    if len(chosen) < 2:
-        return Refined(result, 0, 0, "only one hypothesis is probable at all")
     speed = math.copysign(prepared.drive_speed, catalogue.recipe.nominal_drive_speed)
-    own, numbers = tell() if result.is_doubted else (None, None)
-    load = own
-    if result.is_doubted and own is None:
+    load = None
+    if result.is_doubted:
         with one_thread():
             shown = [(prepared, match.label, match.probability) for match in result.hypotheses[:3]]
             load = find_load(catalogue, shown, speed)
     count = max(LEAST_CASES, cases // len(chosen))
     first = round(FIRST_SHARE * count)
     sets = [match.joints for match in chosen]
-    machine, drawn = draw_cases(catalogue, speed, sets, load, count, doubted=numbers is not None, told=numbers)
+    machine, drawn = draw_cases(catalogue, speed, sets, load, count)
     paths = load.paths if load else ()
     whole = {
         match.label: _Region.of([e for e in drawn if e.hypothesis.label == match.label], paths) for match in chosen
@@ -165,7 +157,7 @@ def refine(
         tried = sum(entry.draw < first for entry in drawn)
         return Refined(result, tried, 1, "some hypotheses could not be simulated, so that nothing changes")
     near = {}
-    for match in _answer(broad, observed, mode).hypotheses:
+    for match in answer_by(broad, observed, mode).hypotheses:
         region = wide[match.label].around(match)
         if paths:
             with one_thread():
@@ -177,45 +169,85 @@ def refine(
         return Refined(result, len(drawn), 2, "cases near the answer could not be simulated, so that nothing changes")
     inside = [row for row, entry in enumerate(broad.entries) if near[entry.hypothesis.label].holds(entry)]
     every = broad.kept(inside) + later
-    found = _answer(every, observed, mode, networks=networks_of(every, observed))
+    found = answer_by(every, observed, mode, networks=networks_of(every, observed))
     # What a set says of a part of its clearances is what it says of all of them times that part.
+    shares = {match.label: near[match.label].share(whole[match.label]) for match in found.hypotheses}
+    found = with_prior(found, result, prior, len(every.joints), shares)
+    return blend_found(result, found, every, len(drawn), load)
+
+
+def settled(result: MatchResult, candidates: Sequence[str], mode: ModeAsked) -> str:
+    """Why no simulation can change an answer; empty where one can.
+
+    Parameters
+    ----------
+    result : MatchResult
+    candidates : sequence of str
+        Labels of its candidate set.
+    mode : {"auto", "trusted", "robust"}
+    """
+    if mode == "robust":
+        return "simulated is a machine like its file, which mode robust does not take it to be"
+    if not result.is_doubted and result.best.probability > CERTAIN and len(candidates) <= 1:
+        return f"certain already: {result.best.label} has more than {CERTAIN:g}"
+    return "" if len(sets_to_simulate(result)) > 1 else "only one hypothesis is probable at all"
+
+
+def with_prior(
+    found: MatchResult, result: MatchResult, prior: Prior, count: int, shares: Mapping[str, float] | None = None
+) -> MatchResult:
+    """Return what cases of some sets of an answer say with its prior; so many joints may wear.
+
+    Parameters
+    ----------
+    found : MatchResult
+        Of these sets, with the usual prior.
+    result : MatchResult
+        The answer.
+    prior : Prior
+    count : int
+    shares : mapping of str to float, optional
+        What each set multiplies by, by its label.
+    """
+    most, of_found = (max(len(match.joints) for match in each.hypotheses) for each in (result, found))
     weights = [
         match.probability
-        * near[match.label].share(whole[match.label])
-        * prior.weight(match.joints, len(every.joints), max(len(each.joints) for each in result.hypotheses))
-        / Prior().weight(match.joints, len(every.joints), max(len(each.joints) for each in chosen))
+        * (shares or {}).get(match.label, 1.0)
+        * prior.weight(match.joints, count, most)
+        / Prior().weight(match.joints, count, of_found)
         for match in found.hypotheses
     ]
     again = [
         replace(match, probability=weight / sum(weights))
         for match, weight in zip(found.hypotheses, weights, strict=True)
     ]
-    refined = _blend(result, replace(found, hypotheses=rank(again).hypotheses), every, len(drawn), load)
-    if numbers is None:
-        return refined
-    reason = f"{refined.reason}; numbers by {CASES} cases of the machine in order"
-    return replace(refined, reason=reason, load=None if own else refined.load, told=True)
+    return replace(found, hypotheses=rank(again).hypotheses)
 
 
-def networks_of(spectra: FoundSpectra, observed: Observed) -> NetworkShelf:
-    """Train a network on cases as the sensors of a recording see them; none where there are too few."""
-    shelf = NetworkShelf(spectra, observed.sensing, None, TRAINING)
+def networks_of(spectra: FoundSpectra, observed: Observed, folder: Path | None = None) -> NetworkShelf:
+    """Train a network on cases as the sensors of a recording see them; none where there are too few.
+
+    One that is in the folder already is not trained again.
+    """
+    shelf = NetworkShelf(spectra, observed.sensing, folder, TRAINING)
     learning = Learning.of("trusted")
-    if shelf.applies(observed.sensing, learning, observed.speed):
+    asked = (observed.sensing, learning, observed.speed)
+    if shelf.applies(*asked) and shelf.get(*asked) is None:
         shelf.train(learning, observed.speed or spectra.nominal_speed)
     return shelf
 
 
-def _answer(
+def answer_by(
     spectra: FoundSpectra, observed: Observed, mode: ModeAsked, networks: NetworkShelf | None = None
 ) -> MatchResult:
+    """Match a recording with cases that were simulated for it, or its machine."""
     return ModelLibrary(spectra, networks=networks).answer(
         observed.sensing, observed.feature, observed.watched, "standard", mode, speed=observed.speed
     )
 
 
-def sets_to_simulate(result: MatchResult) -> tuple[HypothesisMatch, ...]:
-    """The likely sets, then those that have a joint more or less than one of the two first, then others."""
+def sets_to_simulate(result: MatchResult, most: int = SETS) -> tuple[HypothesisMatch, ...]:
+    """The likely sets, then those that have a joint more or less than one of the two first, then others; so many."""
     leading = [set(match.joints) for match in result.hypotheses[:2]]
 
     def place(match: HypothesisMatch) -> int:
@@ -223,7 +255,7 @@ def sets_to_simulate(result: MatchResult) -> tuple[HypothesisMatch, ...]:
             return 0
         return 1 if any(len(joints.symmetric_difference(match.joints)) == 1 for joints in leading) else 2
 
-    return tuple(sorted(result.hypotheses, key=place)[:SETS])
+    return tuple(sorted(result.hypotheses, key=place)[:most])
 
 
 @dataclass(frozen=True, eq=False)
@@ -308,8 +340,13 @@ def _regress(
     return np.array(found)[best, each], np.array(errors)[best, each]
 
 
-def _blend(
-    result: MatchResult, found: MatchResult, every: FoundSpectra, simulated: int, load: FoundLoad | None
+def blend_found(
+    result: MatchResult,
+    found: MatchResult,
+    every: FoundSpectra,
+    simulated: int,
+    load: FoundLoad | None,
+    share: float | None = None,
 ) -> Refined:
     """Share the probability of the simulated sets out anew: by both answers, if the machine as found can be believed.
 
@@ -320,7 +357,8 @@ def _blend(
     p_value = found.p_value if found.trusted_p_value is None else found.trusted_p_value
     trust = weight_as_filed(p_value) * near / (1.0 + near)
     cause = None if load is None else load.cause(trust)
-    share = UNTOLD_SHARE if result.beside and cause is None else FOUND_SHARE
+    if share is None:
+        share = UNTOLD_SHARE if result.beside and cause is None else FOUND_SHARE
     before = {match.label: match.probability for match in result.hypotheses}
     total = sum(before[match.label] for match in found.hypotheses)
     pooled = {

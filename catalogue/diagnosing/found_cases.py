@@ -60,6 +60,7 @@ def draw_cases(
     *,
     doubted: bool = False,
     told: ToldNumbers | None = None,
+    scatters: bool = False,
 ) -> tuple[Machine, list[Entry]]:
     """Draw so many cases of each set of worn joints, at a speed [rad/s].
 
@@ -78,6 +79,9 @@ def draw_cases(
         Whether frame and mounts may be off further than in a catalogue's trusted draws, and the drive ripples.
     told : ToldNumbers, optional
         In place of what is drawn of these numbers.
+    scatters : bool
+        Whether cases turn about that speed, as those of the catalogue's plan do about its own; all at that one unless
+        given.
 
     Returns
     -------
@@ -95,14 +99,14 @@ def draw_cases(
             "fits": plan.fits.model_copy(update={"silent": 0.0}),
             "wide": plan.wide.model_copy(update={"draws": 0.0}),
             "uncertain": _doubtful(plan, machine) if doubted else plan.uncertain,
-            "speeds": (1.0,),
+            "speeds": (speed / catalogue.recipe.nominal_drive_speed if scatters else 1.0,),
             "loads": None,
             "guard": 0,
         }
     )
     found = []
     # What a motor turns at follows from its numbers, which are drawn.
-    turned = {} if has_known_effort(machine) else {DRIVE_SPEED: speed}
+    turned = {} if scatters or has_known_effort(machine) else {DRIVE_SPEED: speed}
     for entry in entries_of(plan, machine):
         parameters = {**entry.parameters, **turned, **(told.draw(entry.draw) if told else {})}
         if load is not None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from jointplay.catalogue.plans.entry import Entry, Hypothesis, Stratum
+from jointplay.catalogue.plans.entry import Entry, Hypothesis, Stratum, content_digest
 from jointplay.catalogue.storage.matrix import FeatureMatrix
 from jointplay.solver.arrays import FloatArray, IntArray
 
@@ -23,13 +23,14 @@ class FoundSpectra:
     entries : tuple of Entry
         All of the stratum "trusted": what a recording has shown is all that is off.
     spectra : ndarray, shape (n, G, 33)
+    id : str
+        Which cases they are, where what is learned from them is kept.
     """
 
     matrix: FeatureMatrix
     entries: tuple[Entry, ...]
     spectra: FloatArray
 
-    #: Nothing learned from it is kept beyond the one answer.
     id: str = "as found"
     speeds: tuple[float, ...] = (1.0,)
     nominal_speed: float = field(init=False)
@@ -92,5 +93,8 @@ class FoundSpectra:
     def __add__(self, other: FoundSpectra) -> FoundSpectra:
         """Cases of both."""
         return replace(
-            self, entries=(*self.entries, *other.entries), spectra=np.concatenate([self.spectra, other.spectra])
+            self,
+            entries=(*self.entries, *other.entries),
+            spectra=np.concatenate([self.spectra, other.spectra]),
+            id=content_digest([self.id, other.id]),
         )

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 
 from jointplay.catalogue.diagnosing.answer import EffortSpent
 from jointplay.catalogue.diagnosing.as_found import Refined, refine
+from jointplay.catalogue.diagnosing.as_known import refine_known
 from jointplay.catalogue.diagnosing.causes import NamedCause
 from jointplay.catalogue.diagnosing.comparison import watched_levels
 from jointplay.catalogue.diagnosing.heard import Heard
@@ -31,22 +31,10 @@ def hear_anew(heard: Heard, catalogue: Catalogue, question: Question) -> Heard:
     Heard
         The same, with the reason, where simulations could not change it.
     """
-    if reason := _settled(heard):
-        return replace(heard, spent=EffortSpent(simulations=0, generations=0, note=reason))
-    # A load that has come since, the machine in order has not shown. What else is named beside wear it may have had,
-    # too little of it to be named: how well that then explains the recording says so.
-    own = {"tell": partial(heard.known.tell, catalogue)} if heard.known and not _is_loaded(heard) else {}
-    refined = refine(
-        heard.prepared,
-        Observed(heard.sensing, heard.feature, watched_levels(heard.prepared), heard.prepared.drive_speed),
-        catalogue,
-        heard.result,
-        heard.result.set(question.coverage).labels,
-        mode=question.mode,
-        prior=question.prior,
-        cases=question.cases,
-        **own,
-    )
+    if heard.prepared.flaws:
+        spent = EffortSpent(simulations=0, generations=0, note="the sensors contradict each other")
+        return replace(heard, spent=spent)
+    refined = _simulate(heard, catalogue, question)
     spent = EffortSpent(simulations=refined.simulations, generations=refined.generations, note=refined.reason)
     if not refined.simulations:
         return replace(heard, spent=spent)
@@ -55,6 +43,8 @@ def hear_anew(heard: Heard, catalogue: Catalogue, question: Question) -> Heard:
     is_its_own = refined.told and not refined.load and not needs_cause(result)
     causes = _causes(heard, refined, is_its_own)
     p_value, verdict = judge(result, question.coverage, causes, p_since=heard.p_since)
+    if (heard.verdict, verdict) == ("worn", "unknown") and result.p_worn >= SURE_ABOVE:
+        p_value, verdict = heard.p_value, heard.verdict  # what explained it without still does
     is_surely_worn = verdict == "worn" and result.p_worn >= SURE_ABOVE
     if not is_surely_worn and verdict != "unknown":
         is_explained = heard.is_as_it_was or (is_its_own and heard.past is None)
@@ -66,32 +56,57 @@ def hear_anew(heard: Heard, catalogue: Catalogue, question: Question) -> Heard:
     return replace(heard, result=result, causes=causes, p_value=p_value, verdict=verdict, spent=spent)
 
 
+def _simulate(heard: Heard, catalogue: Catalogue, question: Question) -> Refined:
+    """The machine as its past tells it, or as the recording shows it where that tells nothing."""
+    observed = Observed(heard.sensing, heard.feature, watched_levels(heard.prepared), heard.prepared.drive_speed)
+    labels = heard.result.set(question.coverage).labels
+    known = None if _is_loaded(heard) else heard.known  # a load that has come since the machine in order has not shown
+    if known:
+        refined = refine_known(
+            observed,
+            catalogue,
+            heard.result,
+            labels,
+            known,
+            mode=question.mode,
+            prior=question.prior,
+            cases=question.cases,
+        )
+        if refined:
+            return refined
+    if heard.causes and not _is_loaded(heard):
+        return Refined(heard.result, 0, 0, "the machine is not as its file says")
+    if heard.weighed:
+        note = "the baseline says more of the machine's numbers than its file, which is simulated"
+        return Refined(heard.result, 0, 0, note)
+    return refine(
+        heard.prepared,
+        observed,
+        catalogue,
+        heard.result,
+        labels,
+        mode=question.mode,
+        prior=question.prior,
+        cases=question.cases,
+    )
+
+
 def _is_loaded(heard: Heard) -> bool:
     """Whether a load is what it is likeliest to have beside wear."""
     return bool(heard.causes) and heard.causes[0].name.startswith("load")
-
-
-def _settled(heard: Heard) -> str:
-    """Why simulations cannot change what a recording says; empty where they can."""
-    is_otherwise = bool(heard.causes) and not _is_loaded(heard)
-    if heard.prepared.flaws:
-        return "the sensors contradict each other"
-    if is_otherwise and (heard.known is None or not needs_cause(heard.result) or heard.result.p_worn <= 0.5):
-        return "the machine is not as its file says"
-    if heard.weighed:
-        return "the baseline says more of the machine's numbers than its file, which is simulated"
-    return ""
 
 
 def _causes(heard: Heard, refined: Refined, is_its_own: bool) -> tuple[NamedCause, ...]:
     """Causes other than play that stay when the machine as found has been simulated.
 
     What a machine has always had, which its file has not, is neither a cause nor a change; nor is what was looked for
-    beside wear that is none.
+    beside wear that is none. What it has not had when it was in order stays.
     """
     is_worn, was_worn = refined.result.p_worn > 0.5, heard.result.p_worn > 0.5
     if heard.is_as_it_was:
         return () if was_worn and not is_worn else heard.causes
     if refined.load:
         return (refined.load,)
-    return () if is_its_own and (is_worn or heard.past is None) else heard.causes
+    if is_its_own and (is_worn or heard.past is None):
+        return tuple(cause for cause in heard.causes if cause.since)
+    return heard.causes

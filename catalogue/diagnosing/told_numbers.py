@@ -14,7 +14,8 @@ from dataclasses import replace
 import numpy as np
 
 from jointplay.catalogue.diagnosing.comparison import common_sensing, features_of, view_of, watched_levels
-from jointplay.catalogue.diagnosing.found_cases import ToldNumbers, draw_cases, simulate_cases
+from jointplay.catalogue.diagnosing.found_cases import ToldNumbers, draw_cases
+from jointplay.catalogue.diagnosing.kept_cases import simulate_once
 from jointplay.catalogue.diagnosing.stroke_loads import COMMON, DIFFERENCE, FoundLoad, find_load
 from jointplay.catalogue.matching.learning import Learning, training_set
 from jointplay.catalogue.matching.model_library import one_thread
@@ -69,7 +70,7 @@ def tell_numbers(
     paths = tuple(path for path in drawn[0].parameters if path.startswith(own))
     if not (paths or load):
         return None, None
-    cases = simulate_cases(catalogue, machine, drawn)
+    cases = simulate_once(catalogue, machine, drawn)
     if len(cases.entries) < CASES // 2:
         return None, None
     parts, of_load = np.array([COMMON, DIFFERENCE]), load.paths if load else ()

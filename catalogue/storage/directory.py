@@ -156,6 +156,11 @@ class CatalogueDirectory:
         return self.root / "networks"
 
     @property
+    def machines(self) -> Path:
+        """Folder of what was simulated, and learned, for single machines; can be simulated again, so it can be lost."""
+        return self.root / "machines"
+
+    @property
     def quality(self) -> Path:
         """Quality card of its present state; made from the matrix, so it can be lost."""
         return self.root / "quality.json"
@@ -216,7 +221,7 @@ class CatalogueDirectory:
         folders = (self.root, self.shards, self.matrices)
         leftovers = [path for folder in folders for path in folder.glob(f"{_TEMPORARY}*")]
         stale = time.time() - STALE
-        for folder in (self.models, self.networks):
+        for folder in (self.models, self.networks, self.machines):
             with suppress(FileNotFoundError):  # whoever writes one has just renamed it
                 leftovers += [path for path in folder.glob(f"{_TEMPORARY}*") if path.stat().st_mtime < stale]
         for path in leftovers:

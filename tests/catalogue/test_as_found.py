@@ -3,59 +3,29 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from loaded import LOADS, asked, prepared_of
 
 from jointplay.catalogue.diagnosing import as_found, stroke_loads
 from jointplay.catalogue.diagnosing.as_found import LEAST_CASES, Refined, networks_of, refine, sets_to_simulate
-from jointplay.catalogue.diagnosing.comparison import exact_sensing, features_of, watched_levels
 from jointplay.catalogue.diagnosing.diagnosis import answer
-from jointplay.catalogue.diagnosing.found_cases import ToldNumbers, draw_cases, simulate_cases
-from jointplay.catalogue.diagnosing.found_spectra import FoundSpectra
+from jointplay.catalogue.diagnosing.found_cases import draw_cases, simulate_cases
 from jointplay.catalogue.diagnosing.question import Question
-from jointplay.catalogue.diagnosing.stroke_loads import FoundLoad, StrokeLoads, find_load
-from jointplay.catalogue.evaluation.protocols import PROTOCOLS, draw_truth
-from jointplay.catalogue.evaluation.recordings import Recordings, recorded
+from jointplay.catalogue.diagnosing.stroke_loads import StrokeLoads, find_load
 from jointplay.catalogue.matching.learning import Learning, training_set
 from jointplay.catalogue.matching.matcher import MatchResult
-from jointplay.catalogue.matching.model_library import ModelLibrary, Observed, library_of
+from jointplay.catalogue.matching.model_library import ModelLibrary
 from jointplay.catalogue.matching.network_shelf import Networks
-from jointplay.catalogue.plans.entry import Entry, Hypothesis
-from jointplay.catalogue.signals.features import prepare
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.storage.store import Catalogue
-from jointplay.solver.machines.machine import Machine, shipped_machine
-
-SHORT = replace(PROTOCOLS["matched"], revolutions=12.0)
-LOADS = (90.0, 10.0)
-
-
-def prepared_of(catalogue: Catalogue, joint: str, loads: tuple[float, float] | None = None) -> PreparedMeasurement:
-    truth = draw_truth(catalogue.machine, Hypothesis.of([joint]), SHORT, 5, 1)
-    if loads:
-        found = StrokeLoads.of(catalogue.machine, catalogue.recipe.nominal_drive_speed)
-        assert found is not None
-        sizes = {f"loads.{place}.over_angle": size for place, size in enumerate(loads)}
-        truth = replace(truth, machine=found.machine(truth.machine), parameters={**truth.parameters, **sizes})
-    ((_, ideal),) = Recordings().ideal(SHORT, [truth])
-    assert ideal is not None
-    return prepare(recorded(SHORT, truth, ideal), catalogue.machine, scheme=catalogue.scheme)
+from jointplay.solver.machines.machine import shipped_machine
 
 
 def of_likely(prepared: PreparedMeasurement, result: MatchResult) -> list[tuple[PreparedMeasurement, str, float]]:
     return [(prepared, match.label, match.probability) for match in result.hypotheses[:3]]
-
-
-def asked(catalogue: Catalogue, prepared: PreparedMeasurement) -> tuple[Observed, MatchResult]:
-    sensing = exact_sensing(prepared)
-    observed = Observed(sensing, features_of(prepared, sensing), watched_levels(prepared), prepared.drive_speed)
-    result = library_of(catalogue).answer(
-        sensing, observed.feature, observed.watched, speed=prepared.drive_speed, mode="auto"
-    )
-    return observed, result
 
 
 @pytest.fixture(scope="module")
@@ -223,56 +193,6 @@ def test_without_a_load_the_machines_own_past_says_more(
         found = refine(prepared, observed, small_catalogue, vague, ["A", "B"], cases=1).result
         odds.append(math.log(found.probability("B") / found.probability("A")))
     assert odds[1] == pytest.approx(0.5 * odds[0], rel=0.1)
-
-
-def doubted(catalogue: Catalogue, prepared: PreparedMeasurement) -> tuple[Observed, MatchResult, FoundLoad]:
-    """A recording whose machine is not as filed, as it is asked about, and the load that is found in it."""
-    observed, result = asked(catalogue, prepared)
-    load = find_load(catalogue, of_likely(prepared, result), catalogue.recipe.nominal_drive_speed)
-    assert load is not None
-    return observed, replace(result, trusted_p_value=1e-4), load
-
-
-@pytest.mark.long
-def test_what_the_machine_in_order_has_told_is_simulated(
-    small_catalogue: Catalogue, loaded: PreparedMeasurement, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Its load and its numbers, where the recording is doubted; of one that can be as filed nothing is asked."""
-    observed, vague, load = doubted(small_catalogue, loaded)
-    load = replace(load, mean=np.array([-50.0, 20.0]))
-    path = "links.frame.mass"
-    told = ToldNumbers((path,), np.array([math.log(7.5)]), np.array([1e-4]), np.array([True]))
-    simulated: list[Entry] = []
-
-    def simulate(catalogue: Catalogue, machine: Machine, cases: Sequence[Entry]) -> FoundSpectra:
-        simulated.extend(cases)
-        return simulate_cases(catalogue, machine, cases)
-
-    monkeypatch.setattr(as_found, "simulate_cases", simulate)
-    found = refine(loaded, observed, small_catalogue, vague, ["A", "B"], tell=lambda: (load, told), cases=1)
-    assert "loads of -50 and 20 N" in found.reason
-    assert found.told
-    assert {round(entry.parameters[path], 1) for entry in simulated} == {7.5}
-    simulated.clear()
-    sure = replace(vague, trusted_p_value=1.0)
-    as_filed = refine(loaded, observed, small_catalogue, sure, ["A", "B"], tell=lambda: pytest.fail("asked"), cases=1)
-    assert "loads" not in as_filed.reason
-    assert len({entry.parameters[path] for entry in simulated}) > 10
-
-
-@pytest.mark.long
-def test_a_load_that_the_machine_always_had_is_no_cause(
-    small_catalogue: Catalogue, loaded: PreparedMeasurement, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Found in the recording the same load is one."""
-    observed, vague, load = doubted(small_catalogue, loaded)
-    nothing = ToldNumbers((), np.zeros(0), np.zeros(0), np.zeros(0, bool))
-    monkeypatch.setattr(as_found, "weight_as_filed", lambda p_value: 1.0)
-    told = refine(loaded, observed, small_catalogue, vague, ["A", "B"], tell=lambda: (load, nothing), cases=1)
-    found = refine(loaded, observed, small_catalogue, vague, ["A", "B"], cases=1)
-    assert "does not explain" not in told.reason + found.reason
-    assert (told.load, told.told, found.told) == (None, True, False)
-    assert found.load is not None
 
 
 def test_a_machine_that_is_not_taken_for_its_file_is_not_simulated(

@@ -152,14 +152,14 @@ def test_death_between_shard_and_index_loses_nothing(tmp_path: Path, monkeypatch
 def test_what_interrupted_writing_left_goes_and_what_is_being_written_stays(tmp_path: Path) -> None:
     quick_build(tmp_path)
     layout = CatalogueDirectory(tmp_path)
-    for folder in (layout.models, layout.networks):
+    for folder in (layout.models, layout.networks, layout.machines):
         folder.mkdir()
         for name, age in ((".tmp-1-old", 2.0 * STALE), (".tmp-1-new", 0.0), ("kept.npz", 2.0 * STALE)):
             (folder / name).write_bytes(b"part of a model")
             written = time.time() - age
             os.utime(folder / name, (written, written))
     quick_build(tmp_path)
-    for folder in (layout.models, layout.networks):
+    for folder in (layout.models, layout.networks, layout.machines):
         assert {path.name for path in folder.iterdir()} == {".tmp-1-new", "kept.npz"}
 
 

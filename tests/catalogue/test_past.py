@@ -254,10 +254,10 @@ def test_the_machine_as_found_is_simulated_beside_the_past_too(
     """What was heard of the past goes into it; a load that it has always had makes no change of a machine in order."""
 
     def simulated(*args: Any, **kwargs: Any) -> Refined:
-        assert args[3].beside
-        return Refined(args[3], 7, 1, "simulated", NamedCause("load on one stroke", 30.0, "N", 0.99))
+        assert args[2].beside
+        return Refined(args[2], 7, 1, "simulated", NamedCause("load on one stroke", 30.0, "N", 0.99))
 
-    monkeypatch.setattr(hearing_anew, "refine", simulated)
+    monkeypatch.setattr(hearing_anew, "refine_known", simulated)
     known = KnownMachine.of({"a": visits["first"]}, small_catalogue)
     library = Listening(small_catalogue.matrix)
     heard = hearing.hear(visits["second"], "c", small_catalogue, Question("thorough"), library, known=known)

@@ -22,7 +22,7 @@ from jointplay.catalogue.diagnosing.told_numbers import regress, tell_numbers
 from jointplay.catalogue.evaluation.protocols import PROTOCOLS, draw_truth
 from jointplay.catalogue.evaluation.recordings import Recordings, recorded
 from jointplay.catalogue.matching.matcher import MatchResult, rank
-from jointplay.catalogue.matching.prior import Prior
+from jointplay.catalogue.matching.model_library import library_of
 from jointplay.catalogue.plans.entry import HEALTHY, Hypothesis
 from jointplay.catalogue.signals.features import prepare
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
@@ -149,7 +149,7 @@ def test_what_is_told_of_a_machine_is_told_once(
 def test_a_doubted_machine_is_asked_for_its_numbers(
     small_catalogue: Catalogue, in_order: PreparedMeasurement, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With effort thorough, where it may have had before what it has; a load is looked for in the recording."""
+    """With effort thorough, whatever it may have had; a load that has come since is looked for in the recording."""
     told: list[int] = []
 
     def tell(recordings: list[PreparedMeasurement], _: Catalogue) -> tuple[None, None]:
@@ -160,30 +160,33 @@ def test_a_doubted_machine_is_asked_for_its_numbers(
     worn = recording_of(small_catalogue, ["B"])
     question = Question(effort="thorough", cases=1)
     load, ripple = NamedCause("load on one stroke", -80.0, "N", 0.9), NamedCause("ripple, order 6", 1e-3, "rad", 0.9)
-    for causes, count in (((), 1), ((load,), 1), ((ripple,), 2)):
+    other = "the machine is not as its file says"
+    for causes, count, is_simulated in (((), 1, True), ((load,), 1, True), ((ripple,), 2, False)):
         monkeypatch.setattr(hearing, "find_causes", lambda *_, causes=causes: causes)
         known = KnownMachine.of({"one": in_order}, small_catalogue)
         shown, _ = answer(worn, "0" * 64, small_catalogue, question, known=known)
-        assert shown.effort_spent.simulations > 0
+        assert (shown.effort_spent.simulations > 0, shown.effort_spent.note == other) == (
+            is_simulated,
+            not is_simulated,
+        )
         assert len(told) == count
-    # Without one in order, or beside no wear, another cause than a load is left at that.
-    never = Prior(worn=0.001, joints=dict.fromkeys("ABO", 0.001))
-    for past, asked in ((None, question), (known, replace(question, prior=never))):
-        shown, _ = answer(worn, "0" * 64, small_catalogue, asked, known=past)
-        assert shown.effort_spent.note == "the machine is not as its file says"
+    # Without one in order another cause than a load is left at that.
+    shown, _ = answer(worn, "0" * 64, small_catalogue, question)
+    assert shown.effort_spent.note == other
     assert len(told) == 2
 
 
 @pytest.mark.parametrize(
-    ("p_since", "p_worn", "is_its_own", "named", "verdict"),
+    ("p_since", "p_worn", "is_its_own", "since", "named", "verdict"),
     [
-        (0.5, 0.1, False, 0, "in_order"),
-        (0.5, 0.9, False, 1, "changed"),
-        (0.001, 0.1, False, 1, "changed"),
-        (0.001, 0.1, True, 1, "changed"),
-        (0.001, 0.95, True, 0, "worn"),
-        (None, 0.95, False, 1, "changed"),
-        (None, 0.1, True, 0, "in_order"),
+        (0.5, 0.1, False, False, 0, "in_order"),
+        (0.5, 0.9, False, False, 1, "changed"),
+        (0.001, 0.1, False, False, 1, "changed"),
+        (0.001, 0.1, True, False, 1, "changed"),
+        (0.001, 0.95, True, False, 0, "worn"),
+        (0.001, 0.95, True, True, 1, "worn"),
+        (None, 0.95, False, False, 1, "changed"),
+        (None, 0.1, True, False, 0, "in_order"),
     ],
 )
 def test_what_was_looked_for_beside_wear_goes_with_it(
@@ -193,15 +196,17 @@ def test_what_was_looked_for_beside_wear_goes_with_it(
     p_since: float | None,
     p_worn: float,
     is_its_own: bool,
+    since: bool,
     named: int,
     verdict: str,
 ) -> None:
     """Where the machine as found is not worn, and as it was, what its file has wrong is no cause.
 
-    Nor is it where the machine as its past has shown it explains the recording, unless it is not worn and otherwise.
+    Nor is it where the machine as its past has shown it explains the recording, unless it is not worn and otherwise, or
+    that has come since.
     """
 
-    def refine(_: object, __: object, ___: object, result: MatchResult, *_others: object, **____: object) -> Refined:
+    def refine(_: object, __: object, result: MatchResult, *_others: object, **____: object) -> Refined:
         worn = result.p_worn
         matches = [
             replace(each, probability=each.probability * (p_worn / worn if each.joints else (1 - p_worn) / (1 - worn)))
@@ -218,9 +223,9 @@ def test_what_was_looked_for_beside_wear_goes_with_it(
         return None if found is None or p_since is None else replace(found, p_value=p_since)
 
     compare = hearing.compare_with_past
-    ripple = NamedCause("ripple, order 6", 1e-3, "rad", 0.9)
+    ripple = NamedCause("ripple, order 6", 1e-3, "rad", 0.9, since=since)
     monkeypatch.setattr(hearing, "find_causes", lambda *_: (ripple,))
-    monkeypatch.setattr(hearing_anew, "refine", refine)
+    monkeypatch.setattr(hearing_anew, "refine_known", refine)
     monkeypatch.setattr(hearing, "compare_with_past", compare_with_past)
     known = KnownMachine.of({"one": in_order}, small_catalogue)
     worn = recording_of(small_catalogue, ["B"])
@@ -229,13 +234,41 @@ def test_what_was_looked_for_beside_wear_goes_with_it(
     assert (len(shown.causes), shown.verdict) == (named, verdict)
 
 
+@pytest.mark.parametrize(("p_worn", "verdict", "p_value"), [(0.95, "worn", 0.4), (0.85, "unknown", 0.001)])
+def test_wear_that_catalogue_and_simulation_are_sure_of_is_worn(
+    small_catalogue: Catalogue,
+    in_order: PreparedMeasurement,
+    monkeypatch: pytest.MonkeyPatch,
+    p_worn: float,
+    verdict: str,
+    p_value: float,
+) -> None:
+    """Also where the simulated machine does not explain the recording, as the catalogue's machines do."""
+
+    def refine(_: object, __: object, result: MatchResult, *_others: object, **____: object) -> Refined:
+        shares = {True: p_worn / result.p_worn, False: (1.0 - p_worn) / (1.0 - result.p_worn)}
+        matches = [
+            replace(each, probability=each.probability * shares[bool(each.joints)], p_value=0.001)
+            for each in result.hypotheses
+        ]
+        return Refined(replace(rank(matches), trusted_p_value=0.01), 1, 1, "simulated", told=True)
+
+    monkeypatch.setattr(hearing_anew, "refine_known", refine)
+    known = KnownMachine.of({"one": in_order}, small_catalogue)
+    worn = recording_of(small_catalogue, ["B"])
+    heard = hearing.hear(worn, "0" * 64, small_catalogue, Question(), library_of(small_catalogue), known=known)
+    sure = replace(heard, causes=(), verdict="worn", p_value=0.4)
+    found = hearing_anew.hear_anew(sure, small_catalogue, Question(effort="thorough"))
+    assert (found.verdict, found.p_value) == (verdict, p_value)
+
+
 def test_nothing_is_told_by_too_few_cases(
     small_catalogue: Catalogue, in_order: PreparedMeasurement, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Where most of them cannot be simulated."""
-    simulate = told_numbers.simulate_cases
+    simulate = told_numbers.simulate_once
     monkeypatch.setattr(told_numbers, "CASES", 16)
     monkeypatch.setattr(
-        told_numbers, "simulate_cases", lambda catalogue, machine, cases: simulate(catalogue, machine, cases[:7])
+        told_numbers, "simulate_once", lambda catalogue, machine, cases: simulate(catalogue, machine, cases[:7])
     )
     assert tell_numbers([in_order], small_catalogue) == (None, None)

@@ -1,0 +1,94 @@
+"""The machine as its past tells it, simulated once for all recordings of it to come: effort thorough with a baseline.
+
+What recordings of the machine in order have told - its load, ripple, frame and mounts - is in all of its cases. They
+lie over all clearances and about a speed of the catalogue, so that the next recording finds them again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import reduce
+from operator import add
+
+from jointplay.catalogue.diagnosing.as_found import (
+    Refined,
+    answer_by,
+    blend_found,
+    networks_of,
+    sets_to_simulate,
+    settled,
+    with_prior,
+)
+from jointplay.catalogue.diagnosing.found_cases import draw_cases
+from jointplay.catalogue.diagnosing.kept_cases import simulate_once
+from jointplay.catalogue.diagnosing.known_machine import KnownMachine
+from jointplay.catalogue.diagnosing.told_numbers import CASES
+from jointplay.catalogue.matching.matcher import MatchResult
+from jointplay.catalogue.matching.model_library import Observed
+from jointplay.catalogue.matching.modes import ModeAsked
+from jointplay.catalogue.matching.prior import Prior
+from jointplay.catalogue.storage.store import Catalogue
+
+KNOWN_SETS = 16
+"""Sets of joints that are simulated, at most: all of a machine with four joints."""
+
+LEAST_CASES = 192
+"""Cases of a set, at least: fewer teach no network."""
+
+KNOWN_SHARE = 0.8
+"""Weight of what the machine as its past tells it says against what the catalogue's machines do."""
+
+
+def refine_known(
+    observed: Observed,
+    catalogue: Catalogue,
+    result: MatchResult,
+    candidates: Sequence[str],
+    known: KnownMachine,
+    *,
+    mode: ModeAsked = "auto",
+    prior: Prior | None = None,
+    cases: int,
+) -> Refined | None:
+    """Match a recording with simulations of its machine as recordings of it in order have told it.
+
+    Parameters
+    ----------
+    observed : Observed
+    catalogue : Catalogue
+    result : MatchResult
+        The catalogue's own answer.
+    candidates : sequence of str
+        Labels of its candidate set.
+    known : KnownMachine
+    mode, prior
+        As for :func:`~jointplay.catalogue.diagnosing.as_found.refine`.
+    cases : int
+        How many are simulated, of all sets together; some of each in any case. Those of the machine in order are more.
+
+    Returns
+    -------
+    Refined or None
+        The same for the same arguments, whatever has been simulated before; None where nothing is told.
+    """
+    if reason := settled(result, candidates, mode):
+        return Refined(result, 0, 0, reason)
+    load, numbers = known.tell(catalogue)
+    if numbers is None:
+        return None
+    factor = 1.0 if observed.speed is None else catalogue.matrix.nearest_speed(observed.speed)
+    speed = factor * catalogue.recipe.nominal_drive_speed
+    sets = sorted(match.joints for match in sets_to_simulate(result, KNOWN_SETS))
+    count = max(LEAST_CASES, cases // len(sets))
+    machine, drawn = draw_cases(catalogue, speed, sets, load, count, doubted=True, told=numbers, scatters=True)
+    by_set = [[entry for entry in drawn if entry.worn == joints] for joints in sets]
+    simulated = [simulate_once(catalogue, machine, each) for each in by_set]
+    if any(len(each.entries) < LEAST_CASES // 2 for each in simulated):
+        return Refined(result, len(drawn), 1, "some hypotheses could not be simulated, so that nothing changes")
+    every = reduce(add, simulated)
+    networks = networks_of(every, observed, catalogue.layout.machines)
+    found = with_prior(answer_by(every, observed, mode, networks), result, prior or Prior(), len(every.joints))
+    refined = blend_found(result, found, every, len(drawn), load, KNOWN_SHARE)
+    reason = f"{refined.reason}; numbers by {CASES} cases of the machine in order"
+    return replace(refined, generations=1, reason=reason, load=None, told=True)

@@ -1,0 +1,168 @@
+"""The machine as its past tells it: simulated once, and found again by the recordings that come."""
+
+from __future__ import annotations
+
+import math
+import shutil
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from loaded import LOADS, asked, prepared_of
+
+from jointplay.catalogue.diagnosing import as_found, as_known, kept_cases
+from jointplay.catalogue.diagnosing.as_known import refine_known
+from jointplay.catalogue.diagnosing.found_cases import ToldNumbers, draw_cases, simulate_cases
+from jointplay.catalogue.diagnosing.found_spectra import FoundSpectra
+from jointplay.catalogue.diagnosing.kept_cases import simulate_once
+from jointplay.catalogue.diagnosing.known_machine import KnownMachine
+from jointplay.catalogue.diagnosing.stroke_loads import FoundLoad, find_load
+from jointplay.catalogue.matching.matcher import MatchResult
+from jointplay.catalogue.matching.model_library import Observed
+from jointplay.catalogue.plans.entry import HEALTHY, Entry
+from jointplay.catalogue.signals.prepared import PreparedMeasurement
+from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.machines.machine import Machine
+
+MASS = "links.frame.mass"
+TOLD = ToldNumbers((MASS,), np.array([math.log(7.5)]), np.array([1e-4]), np.array([True]))
+
+
+@pytest.fixture
+def own_catalogue(small_catalogue: Catalogue, tmp_path: Path) -> Catalogue:
+    """One whose folder no other test has written to."""
+    shutil.copytree(small_catalogue.layout.root, tmp_path / "own", ignore=shutil.ignore_patterns("machines"))
+    return Catalogue.open(tmp_path / "own")
+
+
+@pytest.fixture(scope="module")
+def loaded(small_catalogue: Catalogue) -> PreparedMeasurement:
+    return prepared_of(small_catalogue, "B", LOADS)
+
+
+def that_tells(load: FoundLoad | None, numbers: ToldNumbers | None) -> KnownMachine:
+    return cast(KnownMachine, SimpleNamespace(tell=lambda catalogue: (load, numbers)))
+
+
+def counted(monkeypatch: pytest.MonkeyPatch) -> list[Entry]:
+    """What is simulated from now on."""
+    simulated: list[Entry] = []
+
+    def simulate(catalogue: Catalogue, machine: Machine, cases: Sequence[Entry]) -> FoundSpectra:
+        simulated.extend(cases)
+        return simulate_cases(catalogue, machine, cases)
+
+    monkeypatch.setattr(kept_cases, "simulate_cases", simulate)
+    return simulated
+
+
+def doubted(catalogue: Catalogue, prepared: PreparedMeasurement) -> tuple[Observed, MatchResult]:
+    observed, result = asked(catalogue, prepared)
+    return observed, replace(result, trusted_p_value=1e-4)
+
+
+def probabilities(result: MatchResult) -> dict[str, Any]:
+    return {match.label: (match.probability, match.clearances) for match in result.hypotheses}
+
+
+@pytest.mark.long
+def test_a_machine_is_simulated_once(
+    own_catalogue: Catalogue, loaded: PreparedMeasurement, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With the load and the numbers that are told, about the speed of the catalogue; what comes next finds it again.
+
+    The same answer, whoever simulated; and one that was broken off goes on where it was.
+    """
+    simulated = counted(monkeypatch)
+    observed, vague = doubted(own_catalogue, loaded)
+    nominal = own_catalogue.recipe.nominal_drive_speed
+    found = find_load(own_catalogue, [(loaded, HEALTHY, 1.0)], nominal)
+    assert found is not None
+    load = replace(found, mean=np.array([-50.0, 20.0]))
+    first = refine_known(observed, own_catalogue, vague, ["A", "B"], that_tells(load, TOLD), cases=1)
+    assert first is not None
+    assert first.simulations == len(simulated) == 4 * as_known.LEAST_CASES
+    assert first.told and first.load is None
+    assert "loads of -50 and 20 N" in first.reason
+    assert {round(entry.parameters[MASS], 1) for entry in simulated} == {7.5}
+    speeds = np.array([entry.parameters["drive.speed"] for entry in simulated]) / nominal
+    assert 0.97 <= speeds.min() < 0.98 and 1.02 < speeds.max() <= 1.03
+    assert sum(match.probability for match in first.result.hypotheses) == pytest.approx(1.0)
+
+    simulated.clear()
+    again = refine_known(observed, Catalogue.open(own_catalogue.layout.root), vague, ["A", "B"],
+                         that_tells(load, TOLD), cases=1)  # fmt: skip
+    assert again is not None and not simulated
+    assert (again.reason, again.simulations) == (first.reason, first.simulations)
+    assert probabilities(again.result) == probabilities(first.result)
+
+    kept = sorted(own_catalogue.layout.machines.glob("cases-*.npz"))
+    assert len(kept) == 4
+    kept[0].unlink()
+    kept[1].write_bytes(b"half a file")
+    third = refine_known(observed, own_catalogue, vague, ["A", "B"], that_tells(load, TOLD), cases=1)
+    assert third is not None and len(simulated) == 2 * as_known.LEAST_CASES
+    assert probabilities(third.result) == probabilities(first.result)
+
+
+def test_where_nothing_can_change_nothing_is_asked(own_catalogue: Catalogue, loaded: PreparedMeasurement) -> None:
+    """And where a past tells nothing, that is said: the machine is simulated as the recording has it then."""
+    observed, vague = doubted(own_catalogue, loaded)
+    asleep = cast(KnownMachine, SimpleNamespace(tell=lambda catalogue: pytest.fail("asked")))
+    left = refine_known(observed, own_catalogue, vague, ["A", "B"], asleep, mode="robust", cases=1)
+    assert left is not None and left.result is vague and not left.simulations
+    assert refine_known(observed, own_catalogue, vague, ["A", "B"], that_tells(None, None), cases=1) is None
+    assert not own_catalogue.layout.machines.exists()
+
+
+def test_sets_are_drawn_each_by_itself(small_catalogue: Catalogue) -> None:
+    """Whatever others are asked for: what is kept of one serves every recording."""
+    speed = small_catalogue.recipe.nominal_drive_speed
+    keys = []
+    for sets in ([(), ("A",), ("A", "B")], [("A",), ("O",)], [("A",)]):
+        _, drawn = draw_cases(small_catalogue, speed, sets, None, 50, doubted=True, told=TOLD, scatters=True)
+        keys.append([entry.key for entry in drawn if entry.worn == ("A",)])
+    assert keys[0] == keys[1] == keys[2] and len(set(keys[0])) == 50
+
+
+def test_a_folder_that_cannot_be_written_only_costs_time(
+    own_catalogue: Catalogue, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nor does one with too many files: those that have not been used for long go."""
+    simulated = counted(monkeypatch)
+    speed = own_catalogue.recipe.nominal_drive_speed
+    machine, drawn = draw_cases(own_catalogue, speed, [("A",)], None, 8)
+    own_catalogue.layout.machines.write_text("a file in its place")
+    first, second = (simulate_once(own_catalogue, machine, drawn) for _ in range(2))
+    np.testing.assert_array_equal(first.spectra, second.spectra)
+    assert first.id == second.id and len(simulated) == 16
+    own_catalogue.layout.machines.unlink()
+    monkeypatch.setattr(kept_cases, "KEPT", 2)
+    for count in (8, 7, 8, 6):
+        simulate_once(own_catalogue, machine, drawn[:count])
+    simulated.clear()
+    simulate_once(own_catalogue, machine, drawn)
+    assert not simulated  # used again after the second
+    simulate_once(own_catalogue, machine, drawn[:7])
+    assert len(simulated) == 7
+
+
+@pytest.mark.long
+def test_what_is_told_counts_for_most(
+    own_catalogue: Catalogue, loaded: PreparedMeasurement, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    observed, vague = doubted(own_catalogue, loaded)
+    even = replace(vague, hypotheses=tuple(replace(match, probability=0.25) for match in vague.hypotheses))
+    says = {"B": 0.4, "A": 0.2, "O": 0.2, HEALTHY: 0.2}
+    said = tuple(replace(match, probability=says[match.label]) for match in vague.hypotheses)
+    monkeypatch.setattr(as_known, "answer_by", lambda *_, **__: replace(vague, hypotheses=said, trusted_p_value=1.0))
+    monkeypatch.setattr(as_found, "weight_as_filed", lambda p_value: 1.0)
+    monkeypatch.setattr(as_found, "_cases_near", lambda *_: 1e9)
+    found = refine_known(observed, own_catalogue, even, ["A", "B"], that_tells(None, TOLD), cases=1)
+    assert found is not None
+    odds = math.log(found.result.probability("B") / found.result.probability("A"))
+    assert odds == pytest.approx(as_known.KNOWN_SHARE * math.log(2.0), rel=1e-6)
