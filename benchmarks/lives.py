@@ -127,11 +127,11 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("recordings", type=Path)
     parser.add_argument("--catalogues", type=Path, required=True, help="folder with one catalogue a machine")
-    parser.add_argument("--answers", type=Path, help="file of answers; answers.jsonl beside the recordings")
+    parser.add_argument("--answers", type=Path, help="file of answers; answers-EFFORT.jsonl in the folder")
     parser.add_argument("--effort", choices=("fast", "standard", "thorough"), default="standard")
     parser.add_argument("--only", default="", help="recordings with this in their name")
     given = parser.parse_args()
-    kept = given.answers or given.recordings / "answers.jsonl"
+    kept = given.answers or given.recordings / f"answers-{given.effort}.jsonl"
     judged = []
     for catalogue, lives in told(given.recordings, given.catalogues, kept, given.only, given.effort):
         bounds = bounds_of(catalogue.machine, catalogue.machine.wearing_joints)

@@ -40,7 +40,7 @@ ROWS = "service.sqlite"
 SEAL = "backup.json"
 """Written last: a folder without it is no backup."""
 
-DERIVED = ("machines", "networks", "models", "matrix", "shards")
+DERIVED = ("networks", "models", "matrix", "shards")
 """Folders of a catalogue, what may be thrown away first; the index is made again when it is needed."""
 
 TRIES = 5

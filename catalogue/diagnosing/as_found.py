@@ -55,6 +55,9 @@ FOUND_SHARE, UNTOLD_SHARE = 2.0 / 3.0, 1.0 / 3.0
 these were heard beside the machine's own past and no load is told, which is all that it has been given of the machine.
 """
 
+KNOWN_SHARE = 0.8
+"""Weight of what the machine says whose load and numbers its past has told."""
+
 TRAINING = NetworkTraining(rows=20_000, blocks=20)
 """Of the network that learns the cases of one recording: 60 000 rows take three times as long and know no more."""
 
@@ -78,7 +81,7 @@ class Refined:
     load : NamedCause, optional
         Found in the recording, where the machine with it explains that; none where recordings in order have told one.
     told : bool
-        Whether what was simulated has the numbers that these have told.
+        Whether what was simulated has the numbers that these have told, and explains the recording.
     """
 
     result: MatchResult
@@ -346,7 +349,8 @@ def blend_found(
     every: FoundSpectra,
     simulated: int,
     load: FoundLoad | None,
-    share: float | None = None,
+    *,
+    told: bool = False,
 ) -> Refined:
     """Share the probability of the simulated sets out anew: by both answers, if the machine as found can be believed.
 
@@ -356,9 +360,8 @@ def blend_found(
     near = _cases_near(every, found.best)
     p_value = found.p_value if found.trusted_p_value is None else found.trusted_p_value
     trust = weight_as_filed(p_value) * near / (1.0 + near)
-    cause = None if load is None else load.cause(trust)
-    if share is None:
-        share = UNTOLD_SHARE if result.beside and cause is None else FOUND_SHARE
+    cause = None if load is None or told else load.cause(trust)
+    share = KNOWN_SHARE if told else UNTOLD_SHARE if result.beside and cause is None else FOUND_SHARE
     before = {match.label: match.probability for match in result.hypotheses}
     total = sum(before[match.label] for match in found.hypotheses)
     pooled = {
@@ -389,7 +392,7 @@ def blend_found(
         found, hypotheses=matches, conformal=result.conformal, sightings=result.sightings, notes=result.notes,
         network=result.network, beside=result.beside,
     )  # fmt: skip
-    return Refined(leading, simulated, 2, said, cause)
+    return Refined(leading, simulated, 2, said, cause, told)
 
 
 def _cases_near(every: FoundSpectra, match: HypothesisMatch) -> float:

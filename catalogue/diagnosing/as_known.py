@@ -36,8 +36,8 @@ KNOWN_SETS = 16
 LEAST_CASES = 192
 """Cases of a set, at least: fewer teach no network."""
 
-KNOWN_SHARE = 0.8
-"""Weight of what the machine as its past tells it says against what the catalogue's machines do."""
+NEAR_SPEED = 0.04
+"""Part of its speed by which a recording may turn faster or slower than the catalogue's machines do on average."""
 
 
 def refine_known(
@@ -70,15 +70,19 @@ def refine_known(
     Returns
     -------
     Refined or None
-        The same for the same arguments, whatever has been simulated before; None where nothing is told.
+        The same for the same arguments, whatever has been simulated before; None where nothing is told, or the
+        recording is of no speed of the catalogue.
     """
     if reason := settled(result, candidates, mode):
         return Refined(result, 0, 0, reason)
+    nominal = catalogue.recipe.nominal_drive_speed
+    factor = 1.0 if observed.speed is None else catalogue.matrix.nearest_speed(observed.speed)
+    if observed.speed is not None and abs(observed.speed / (factor * abs(nominal)) - 1.0) > NEAR_SPEED:
+        return None
     load, numbers = known.tell(catalogue)
     if numbers is None:
         return None
-    factor = 1.0 if observed.speed is None else catalogue.matrix.nearest_speed(observed.speed)
-    speed = factor * catalogue.recipe.nominal_drive_speed
+    speed = factor * nominal
     sets = sorted(match.joints for match in sets_to_simulate(result, KNOWN_SETS))
     count = max(LEAST_CASES, cases // len(sets))
     machine, drawn = draw_cases(catalogue, speed, sets, load, count, doubted=True, told=numbers, scatters=True)
@@ -89,6 +93,6 @@ def refine_known(
     every = reduce(add, simulated)
     networks = networks_of(every, observed, catalogue.layout.machines)
     found = with_prior(answer_by(every, observed, mode, networks), result, prior or Prior(), len(every.joints))
-    refined = blend_found(result, found, every, len(drawn), load, KNOWN_SHARE)
+    refined = blend_found(result, found, every, len(drawn), load, told=True)
     reason = f"{refined.reason}; numbers by {CASES} cases of the machine in order"
-    return replace(refined, generations=1, reason=reason, load=None, told=True)
+    return replace(refined, generations=1, reason=reason)

@@ -60,7 +60,9 @@ def _simulate(heard: Heard, catalogue: Catalogue, question: Question) -> Refined
     """The machine as its past tells it, or as the recording shows it where that tells nothing."""
     observed = Observed(heard.sensing, heard.feature, watched_levels(heard.prepared), heard.prepared.drive_speed)
     labels = heard.result.set(question.coverage).labels
-    known = None if _is_loaded(heard) else heard.known  # a load that has come since the machine in order has not shown
+    # A load that has come since the machine in order has not shown; and what was converted to the mounts of the file
+    # is not of the mounts that it tells.
+    known = None if _is_loaded(heard) or _is_converted(heard) else heard.known
     if known:
         refined = refine_known(
             observed,
@@ -94,6 +96,11 @@ def _simulate(heard: Heard, catalogue: Catalogue, question: Question) -> Refined
 def _is_loaded(heard: Heard) -> bool:
     """Whether a load is what it is likeliest to have beside wear."""
     return bool(heard.causes) and heard.causes[0].name.startswith("load")
+
+
+def _is_converted(heard: Heard) -> bool:
+    """Whether the recording was made one of the file's mounts and frame, and is explained so."""
+    return bool(heard.causes) and bool(heard.causes[0].suspension) and not needs_cause(heard.result)
 
 
 def _causes(heard: Heard, refined: Refined, is_its_own: bool) -> tuple[NamedCause, ...]:

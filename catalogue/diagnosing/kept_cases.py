@@ -17,6 +17,7 @@ from jointplay.catalogue.errors import CatalogueFileError
 from jointplay.catalogue.matching.modelfile import age_key
 from jointplay.catalogue.plans.entry import Entry, content_digest
 from jointplay.catalogue.storage.directory import publish
+from jointplay.catalogue.storage.matrix_header import MATRIX_VERSION
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.arrays import FloatArray, IntArray
 from jointplay.solver.machines.machine import Machine
@@ -43,7 +44,8 @@ def simulate_once(catalogue: Catalogue, machine: Machine, cases: Sequence[Entry]
     FoundSpectra
         Whose ``id`` says which cases they are.
     """
-    key = content_digest([[entry.key for entry in cases], list(catalogue.matrix.cuts)])
+    matrix = catalogue.matrix
+    key = content_digest([MATRIX_VERSION, [entry.key for entry in cases], list(matrix.cuts)])
     file = catalogue.layout.machines / f"cases-{key[:32]}.npz"
     kept = _read(file, len(cases))
     if kept is None:
@@ -53,7 +55,7 @@ def simulate_once(catalogue: Catalogue, machine: Machine, cases: Sequence[Entry]
         _write(file, *kept)
     rows, spectra = kept
     entries = tuple(cases[row] for row in rows.tolist())
-    return FoundSpectra(catalogue.matrix, entries, spectra, id=key)
+    return FoundSpectra(matrix, entries, spectra, id=key)
 
 
 def _read(file: Path, count: int) -> tuple[IntArray, FloatArray] | None:

@@ -6,8 +6,10 @@ set of sensors: those of the machine's file.
 
 from __future__ import annotations
 
+import os
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -195,6 +197,8 @@ class NetworkShelf:
                 kept = read_network(self._folder, key)
                 if kept is not None:
                     self._known[key] = kept
+                    with suppress(OSError):  # where files go that have not been used for long
+                        os.utime(self._folder / f"{key}.npz")
             return self._known.get(key)
 
     def _applies(self, learning: Learning, speed: float | None) -> bool:

@@ -24,7 +24,7 @@ PLAN = {
 
 @pytest.fixture(scope="session")
 def small_catalogue(tmp_path_factory: pytest.TempPathFactory) -> Catalogue:
-    """Single faults of the slider-crank, a few draws each; test processes share it, and read it only."""
+    """Single faults of the slider-crank, a few draws each; test processes share it, and add files of machines."""
     folder = tmp_path_factory.getbasetemp()
     if folder.name.startswith("popen-"):
         folder = folder.parent

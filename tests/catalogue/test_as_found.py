@@ -185,7 +185,7 @@ def test_without_a_load_the_machines_own_past_says_more(
     even = tuple(replace(match, probability=0.25) for match in result.hypotheses)
     says = {"B": 0.4, "A": 0.2, "O": 0.2, "healthy": 0.2}
     said = tuple(replace(match, probability=says[match.label]) for match in result.hypotheses)
-    monkeypatch.setattr(as_found, "_answer", lambda *_, **__: replace(result, hypotheses=said, trusted_p_value=1.0))
+    monkeypatch.setattr(as_found, "answer_by", lambda *_, **__: replace(result, hypotheses=said, trusted_p_value=1.0))
     monkeypatch.setattr(as_found, "weight_as_filed", lambda p_value: 1.0)
     odds = []
     for heard in (False, True):

@@ -23,6 +23,7 @@ from jointplay.catalogue.diagnosing.known_machine import KnownMachine
 from jointplay.catalogue.diagnosing.stroke_loads import FoundLoad, find_load
 from jointplay.catalogue.matching.matcher import MatchResult
 from jointplay.catalogue.matching.model_library import Observed
+from jointplay.catalogue.matching.network_shelf import NetworkShelf
 from jointplay.catalogue.plans.entry import HEALTHY, Entry
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.storage.store import Catalogue
@@ -78,6 +79,7 @@ def test_a_machine_is_simulated_once(
     The same answer, whoever simulated; and one that was broken off goes on where it was.
     """
     simulated = counted(monkeypatch)
+    monkeypatch.setattr(as_found, "weight_as_filed", lambda p_value: 1.0)
     observed, vague = doubted(own_catalogue, loaded)
     nominal = own_catalogue.recipe.nominal_drive_speed
     found = find_load(own_catalogue, [(loaded, HEALTHY, 1.0)], nominal)
@@ -94,6 +96,9 @@ def test_a_machine_is_simulated_once(
     assert sum(match.probability for match in first.result.hypotheses) == pytest.approx(1.0)
 
     simulated.clear()
+    networks = set(own_catalogue.layout.machines.glob("*.npz")) - set(own_catalogue.layout.machines.glob("cases-*"))
+    assert len(networks) == 1
+    monkeypatch.setattr(NetworkShelf, "train", lambda *_, **__: pytest.fail("trained again"))
     again = refine_known(observed, Catalogue.open(own_catalogue.layout.root), vague, ["A", "B"],
                          that_tells(load, TOLD), cases=1)  # fmt: skip
     assert again is not None and not simulated
@@ -116,6 +121,9 @@ def test_where_nothing_can_change_nothing_is_asked(own_catalogue: Catalogue, loa
     left = refine_known(observed, own_catalogue, vague, ["A", "B"], asleep, mode="robust", cases=1)
     assert left is not None and left.result is vague and not left.simulations
     assert refine_known(observed, own_catalogue, vague, ["A", "B"], that_tells(None, None), cases=1) is None
+    assert observed.speed is not None
+    faster = replace(observed, speed=1.1 * observed.speed)
+    assert refine_known(faster, own_catalogue, vague, ["A", "B"], asleep, cases=1) is None
     assert not own_catalogue.layout.machines.exists()
 
 
@@ -164,5 +172,10 @@ def test_what_is_told_counts_for_most(
     monkeypatch.setattr(as_found, "_cases_near", lambda *_: 1e9)
     found = refine_known(observed, own_catalogue, even, ["A", "B"], that_tells(None, TOLD), cases=1)
     assert found is not None
+    assert found.told
     odds = math.log(found.result.probability("B") / found.result.probability("A"))
-    assert odds == pytest.approx(as_known.KNOWN_SHARE * math.log(2.0), rel=1e-6)
+    assert odds == pytest.approx(as_found.KNOWN_SHARE * math.log(2.0), rel=1e-6)
+    monkeypatch.setattr(as_found, "weight_as_filed", lambda p_value: 0.1)
+    doubtful = refine_known(observed, own_catalogue, even, ["A", "B"], that_tells(None, TOLD), cases=1)
+    assert doubtful is not None and not doubtful.told
+    assert "does not explain" in doubtful.reason
