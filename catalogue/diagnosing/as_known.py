@@ -28,6 +28,7 @@ from jointplay.catalogue.matching.matcher import MatchResult
 from jointplay.catalogue.matching.model_library import Observed
 from jointplay.catalogue.matching.modes import ModeAsked
 from jointplay.catalogue.matching.prior import Prior
+from jointplay.catalogue.plans.plan_parts import SPEED
 from jointplay.catalogue.storage.store import Catalogue
 
 KNOWN_SETS = 16
@@ -35,9 +36,6 @@ KNOWN_SETS = 16
 
 LEAST_CASES = 192
 """Cases of a set, at least: fewer teach no network."""
-
-NEAR_SPEED = 0.04
-"""Part of its speed by which a recording may turn faster or slower than the catalogue's machines do on average."""
 
 
 def refine_known(
@@ -77,7 +75,7 @@ def refine_known(
         return Refined(result, 0, 0, reason)
     nominal = catalogue.recipe.nominal_drive_speed
     factor = 1.0 if observed.speed is None else catalogue.matrix.nearest_speed(observed.speed)
-    if observed.speed is not None and abs(observed.speed / (factor * abs(nominal)) - 1.0) > NEAR_SPEED:
+    if observed.speed is not None and not SPEED[0] <= observed.speed / (factor * abs(nominal)) <= SPEED[1]:
         return None
     load, numbers = known.tell(catalogue)
     if numbers is None:

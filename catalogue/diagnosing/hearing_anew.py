@@ -40,7 +40,7 @@ def hear_anew(heard: Heard, catalogue: Catalogue, question: Question) -> Heard:
         return replace(heard, spent=spent)
     result, before = refined.result, heard.result
     # The machine in order has told numbers with which the recording is explained: what was named is its own.
-    is_its_own = refined.told and not refined.load and not needs_cause(result)
+    is_its_own = refined.told and not needs_cause(result)
     causes = _causes(heard, refined, is_its_own)
     p_value, verdict = judge(result, question.coverage, causes, p_since=heard.p_since)
     if (heard.verdict, verdict) == ("worn", "unknown") and result.p_worn >= SURE_ABOVE:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import zipfile
+from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
@@ -40,11 +41,9 @@ def write_model(folder: Path, key: str, model: FittedGaussian) -> bool:
     Of the models there only the last :data:`KEPT` stay.
     """
     try:
-        _write(folder, key, model)
+        _write(folder, key, model, KEPT)
     except CatalogueFileError:
         return False
-    for file in sorted(folder.glob("*.npz"), key=age_key)[:-KEPT]:
-        file.unlink(missing_ok=True)
     return True
 
 
@@ -59,17 +58,39 @@ def write_network(folder: Path, key: str, network: Network) -> None:
     _write(folder, key, network)
 
 
-def _write(folder: Path, key: str, model: FittedGaussian | Network) -> None:
+def _write(folder: Path, key: str, model: FittedGaussian | Network, kept: int | None = None) -> None:
     arrays: dict[str, np.ndarray[Any, Any]] = {}
     tree = {"format": FORMAT, "key": key, "model": _plain(model, arrays)}
-    content = io.BytesIO()
     arrays["tree"] = np.frombuffer(json.dumps(tree).encode(), np.uint8)
+    write_arrays(folder, key, arrays, kept)
+
+
+def write_arrays(folder: Path, key: str, arrays: Mapping[str, np.ndarray[Any, Any]], kept: int | None = None) -> None:
+    """Write arrays by name under their key; of the files there only the last so many stay, all unless given.
+
+    Raises
+    ------
+    CatalogueFileError
+        The folder cannot be written.
+    """
+    content = io.BytesIO()
     np.savez(content, allow_pickle=False, **arrays)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise CatalogueFileError(folder, f"cannot be written ({error.strerror or error})") from error
     publish(folder / f"{key}.npz", content.getvalue())
+    for file in sorted(folder.glob("*.npz"), key=age_key)[:-kept] if kept else ():
+        file.unlink(missing_ok=True)
+
+
+def read_arrays(folder: Path, key: str) -> dict[str, np.ndarray[Any, Any]] | None:
+    """Read the arrays of a key; None where there are none, or none that can be read."""
+    try:
+        with np.load(io.BytesIO((folder / f"{key}.npz").read_bytes()), allow_pickle=False) as file:
+            return {name: file[name] for name in file.files}
+    except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile):
+        return None
 
 
 def age_key(file: Path) -> tuple[float, str]:
@@ -93,14 +114,15 @@ def read_network(folder: Path, key: str) -> Network | None:
 
 
 def _read(folder: Path, key: str) -> Any:
+    arrays = read_arrays(folder, key)
+    if arrays is None:
+        return None
     try:
-        with np.load(io.BytesIO((folder / f"{key}.npz").read_bytes()), allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
         tree = json.loads(arrays["tree"].tobytes())
         if tree["format"] != FORMAT or tree["key"] != key:
             return None
         return _restore(tree["model"], arrays)
-    except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile):
+    except (ValueError, KeyError, TypeError):
         return None
 
 
