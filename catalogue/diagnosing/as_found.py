@@ -78,8 +78,9 @@ class Refined:
     simulations, generations : int
     reason : str
         What was done, or why nothing was, in words.
-    load : NamedCause, optional
-        Found in the recording, where the machine with it explains that; none where recordings in order have told one.
+    cause : NamedCause, optional
+        Found beside wear, where the machine with it explains the recording: a load, or, where recordings in order have
+        told that, a mount that has come loose since.
     told : bool
         Whether what was simulated has the numbers that these have told, and explains the recording.
     """
@@ -88,7 +89,7 @@ class Refined:
     simulations: int
     generations: int
     reason: str
-    load: NamedCause | None = None
+    cause: NamedCause | None = None
     told: bool = False
 
 

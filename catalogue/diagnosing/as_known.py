@@ -23,6 +23,7 @@ from jointplay.catalogue.diagnosing.as_found import (
 from jointplay.catalogue.diagnosing.found_cases import draw_cases
 from jointplay.catalogue.diagnosing.kept_cases import simulate_once
 from jointplay.catalogue.diagnosing.known_machine import KnownMachine
+from jointplay.catalogue.diagnosing.loose_mounts import find_loose_mount
 from jointplay.catalogue.diagnosing.told_numbers import CASES
 from jointplay.catalogue.matching.matcher import MatchResult
 from jointplay.catalogue.matching.model_library import Observed
@@ -33,6 +34,9 @@ from jointplay.catalogue.storage.store import Catalogue
 
 KNOWN_SETS = 16
 """Sets of joints that are simulated, at most: all of a machine with four joints."""
+
+TOLD_BY = 4
+"""The likeliest sets, whose cases tell whether a mount is loose."""
 
 LEAST_CASES = 192
 """Cases of a set, at least: fewer teach no network."""
@@ -92,5 +96,9 @@ def refine_known(
     networks = networks_of(every, observed, catalogue.layout.machines)
     found = with_prior(answer_by(every, observed, mode, networks), result, prior or Prior(), len(every.joints))
     refined = blend_found(result, found, every, len(drawn), load, told=True)
+    if refined.told:
+        refined = replace(
+            refined, cause=find_loose_mount(every, observed, [e.label for e in found.hypotheses[:TOLD_BY]])
+        )
     reason = f"{refined.reason}; numbers by {CASES} cases of the machine in order"
     return replace(refined, generations=1, reason=reason)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from jointplay.catalogue.building.chunk import cut_chunks, simulate_chunk
+from jointplay.catalogue.diagnosing.drawn_mounts import loosen, warm
 from jointplay.catalogue.diagnosing.found_spectra import FoundSpectra
 from jointplay.catalogue.diagnosing.stroke_loads import FoundLoad
 from jointplay.catalogue.plans.cases import entries_of
@@ -80,7 +81,8 @@ def draw_cases(
     told : ToldNumbers, optional
         In place of what is drawn of these numbers.
     scatters : bool
-        Whether cases turn about that speed, as those of the catalogue's plan do about its own; all at that one unless
+        Whether cases are of days to come: they turn about that speed, as those of the catalogue's plan do about its
+        own, their mounts are warmer or colder, and one may have come loose. All at that one, and as they were, unless
         given.
 
     Returns
@@ -109,11 +111,20 @@ def draw_cases(
     turned = {} if scatters or has_known_effort(machine) else {DRIVE_SPEED: speed}
     for entry in entries_of(plan, machine):
         parameters = {**entry.parameters, **turned, **(told.draw(entry.draw) if told else {})}
+        if scatters:
+            parameters |= warm(parameters, entry.draw, "to come")
+            parameters |= loosen(parameters, entry.draw)
         if load is not None:
             generator = np.random.default_rng(seed_from("load as found", entry.hypothesis.label, entry.draw))
             parameters |= dict(zip(load.paths, load.draw(generator.normal(size=2)).tolist(), strict=True))
         found.append(changed(entry, machine, catalogue.recipe, entry.clearances, parameters))
     return machine, found
+
+
+def on_a_day(entry: Entry, machine: Machine, recipe: Recipe) -> Entry:
+    """Return the machine of a case as it is on some day, its mounts warmer or colder than they usually are."""
+    numbers = {**entry.parameters, **warm(entry.parameters, entry.draw, "in order")}
+    return changed(entry, machine, recipe, entry.clearances, numbers)
 
 
 def _doubtful(plan: Plan, machine: Machine) -> dict[str, Distribution]:

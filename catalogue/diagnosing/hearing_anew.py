@@ -112,8 +112,8 @@ def _causes(heard: Heard, refined: Refined, is_its_own: bool) -> tuple[NamedCaus
     is_worn, was_worn = refined.result.p_worn > 0.5, heard.result.p_worn > 0.5
     if heard.is_as_it_was:
         return () if was_worn and not is_worn else heard.causes
-    if refined.load:
-        return (refined.load,)
+    if refined.cause:
+        return (refined.cause,)
     if is_its_own and (is_worn or heard.past is None):
         return tuple(cause for cause in heard.causes if cause.since)
     return heard.causes

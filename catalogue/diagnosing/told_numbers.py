@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from jointplay.catalogue.diagnosing.comparison import common_sensing, features_of, view_of, watched_levels
-from jointplay.catalogue.diagnosing.found_cases import ToldNumbers, draw_cases
+from jointplay.catalogue.diagnosing.found_cases import ToldNumbers, draw_cases, on_a_day
 from jointplay.catalogue.diagnosing.kept_cases import simulate_once
 from jointplay.catalogue.diagnosing.stroke_loads import COMMON, DIFFERENCE, FoundLoad, find_load
 from jointplay.catalogue.matching.learning import Learning, training_set
@@ -59,7 +59,8 @@ def tell_numbers(
     Returns
     -------
     (FoundLoad or None, ToldNumbers or None)
-        The load, where the machine may have one; and what else is told. Neither where the machine cannot be simulated.
+        The load, where the machine may have one; and what else is told, of mounts as they are when it is neither warm
+        nor cold. Neither where the machine cannot be simulated.
     """
     first = in_order[0]
     speed = math.copysign(first.drive_speed, catalogue.recipe.nominal_drive_speed)
@@ -70,12 +71,13 @@ def tell_numbers(
     paths = tuple(path for path in drawn[0].parameters if path.startswith(own))
     if not (paths or load):
         return None, None
-    cases = simulate_once(catalogue, machine, drawn)
+    cases = simulate_once(catalogue, machine, [on_a_day(entry, machine, catalogue.recipe) for entry in drawn])
     if len(cases.entries) < CASES // 2:
         return None, None
     parts, of_load = np.array([COMMON, DIFFERENCE]), load.paths if load else ()
+    usual = {entry.draw: entry.parameters for entry in drawn}
     sizes, numbers = (
-        np.array([[entry.parameters[path] for path in some] for entry in cases.entries]) for some in (of_load, paths)
+        np.array([[usual[entry.draw][path] for path in some] for entry in cases.entries]) for some in (of_load, paths)
     )
     logarithmic = np.asarray((numbers > 0.0).all(axis=0), bool)
     numbers[:, logarithmic] = np.log(numbers[:, logarithmic])

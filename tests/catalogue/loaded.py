@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 from jointplay.catalogue.diagnosing.comparison import exact_sensing, features_of, watched_levels
@@ -19,13 +20,16 @@ SHORT = replace(PROTOCOLS["matched"], revolutions=12.0)
 LOADS = (90.0, 10.0)
 
 
-def prepared_of(catalogue: Catalogue, joint: str, loads: tuple[float, float] | None = None) -> PreparedMeasurement:
+def prepared_of(
+    catalogue: Catalogue, joint: str, loads: tuple[float, float] | None = None, own: Mapping[str, float] | None = None
+) -> PreparedMeasurement:
     truth = draw_truth(catalogue.machine, Hypothesis.of([joint]), SHORT, 5, 1)
     if loads:
         found = StrokeLoads.of(catalogue.machine, catalogue.recipe.nominal_drive_speed)
         assert found is not None
         sizes = {f"loads.{place}.over_angle": size for place, size in enumerate(loads)}
         truth = replace(truth, machine=found.machine(truth.machine), parameters={**truth.parameters, **sizes})
+    truth = replace(truth, parameters={**truth.parameters, **(own or {})})
     ((_, ideal),) = Recordings().ideal(SHORT, [truth])
     assert ideal is not None
     return prepare(recorded(SHORT, truth, ideal), catalogue.machine, scheme=catalogue.scheme)

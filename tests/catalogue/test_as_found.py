@@ -96,8 +96,8 @@ def test_a_loaded_machine_is_simulated_with_its_load(
     assert "loads of" in found.reason
     assert "effective sample size" in found.reason
     assert sum(match.probability for match in found.result.hypotheses) == pytest.approx(1.0)
-    assert found.load is not None
-    assert found.load.size == pytest.approx(LOADS[0] - LOADS[1], abs=12.0)
+    assert found.cause is not None
+    assert found.cause.size == pytest.approx(LOADS[0] - LOADS[1], abs=12.0)
 
 
 @pytest.mark.long
@@ -155,7 +155,7 @@ def test_a_machine_that_does_not_explain_the_recording_says_little(
     _, before = asked(small_catalogue, loaded)
     doubted = refined(small_catalogue, loaded)
     assert "does not explain the recording either" in doubted.reason
-    assert doubted.load is None
+    assert doubted.cause is None
     own = {match.label: match for match in before.hypotheses}
     for match in doubted.result.hypotheses:
         assert (match.clearances, match.p_value) == (own[match.label].clearances, own[match.label].p_value)
@@ -170,7 +170,7 @@ def test_candidate_sets_are_by_the_law_of_the_catalogue(
     observed, result = asked(small_catalogue, loaded)
     result = replace(result, beside=True)
     found = refine(loaded, observed, small_catalogue, result, result.set(0.95).labels, cases=4 * 120)
-    assert found.load is not None
+    assert found.cause is not None
     assert found.result.conformal is result.conformal
     assert found.result.beside
 
@@ -223,7 +223,7 @@ def test_open_questions_are_simulated_without_a_load(small_catalogue: Catalogue)
     assert answered.simulations == 4 * LEAST_CASES
     assert answered.result.best.label == "B"
     assert answered.result.best.probability < 0.1 * 0.25 + 0.9
-    assert answered.load is None
+    assert answered.cause is None
     assert "loads" not in answered.reason
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -14,6 +15,8 @@ from jointplay.catalogue.diagnosing.as_found import Refined
 from jointplay.catalogue.diagnosing.causes import NamedCause
 from jointplay.catalogue.diagnosing.diagnosis import answer
 from jointplay.catalogue.diagnosing.found_cases import DOUBT, ToldNumbers, draw_cases
+from jointplay.catalogue.diagnosing.found_spectra import FoundSpectra
+from jointplay.catalogue.diagnosing.kept_cases import simulate_once
 from jointplay.catalogue.diagnosing.known_machine import KnownMachine
 from jointplay.catalogue.diagnosing.past import PastComparison
 from jointplay.catalogue.diagnosing.question import Question
@@ -23,11 +26,13 @@ from jointplay.catalogue.evaluation.protocols import PROTOCOLS, draw_truth
 from jointplay.catalogue.evaluation.recordings import Recordings, recorded
 from jointplay.catalogue.matching.matcher import MatchResult, rank
 from jointplay.catalogue.matching.model_library import library_of
-from jointplay.catalogue.plans.entry import HEALTHY, Hypothesis
+from jointplay.catalogue.plans.entry import HEALTHY, Entry, Hypothesis
 from jointplay.catalogue.signals.features import prepare
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.signals.sensor_flaws import SensorContradiction
 from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.arrays import FloatArray
+from jointplay.solver.machines.machine import Machine
 from jointplay.solver.machines.parts import Ripple
 
 SHORT = replace(PROTOCOLS["matched"], revolutions=12.0)
@@ -77,6 +82,37 @@ def test_a_machine_in_order_tells_what_its_file_has_not(
     mean, error = own[MOUNT]
     assert error < 0.08  # of 0.1 before
     assert abs(mean - math.log(1.15 * small_catalogue.machine.supports[0].stiffness[1])) < 3.0 * error
+
+
+def test_mounts_are_told_as_they_are_when_it_is_neither_warm_nor_cold(
+    small_catalogue: Catalogue, in_order: PreparedMeasurement, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is simulated is of days; what is told, of the machine."""
+    simulated: list[Entry] = []
+    told: list[FloatArray] = []
+
+    def simulate(catalogue: Catalogue, machine: Machine, cases: Sequence[Entry]) -> FoundSpectra:
+        found = simulate_once(catalogue, machine, cases)
+        simulated.extend(found.entries)
+        return found
+
+    def tell(features: FloatArray, numbers: FloatArray, _: FloatArray) -> tuple[FloatArray, FloatArray]:
+        told.append(numbers)
+        return numbers.mean(axis=0), numbers.std(axis=0)
+
+    monkeypatch.setattr(told_numbers, "CASES", 16)
+    monkeypatch.setattr(told_numbers, "simulate_once", simulate)
+    monkeypatch.setattr(told_numbers, "regress", tell)
+    _, numbers = tell_numbers([in_order], small_catalogue)
+    assert numbers is not None
+    place = numbers.paths.index(MOUNT)
+    own = told[0][:, -len(numbers.paths) :]
+    off = np.log([entry.parameters[MOUNT] for entry in simulated]) - own[:, place]
+    assert (np.log(0.9) <= off).all() and (off <= np.log(1.1)).all()
+    assert off.std() > 0.03
+    mass = numbers.paths.index("links.frame.mass")
+    same = np.log([entry.parameters["links.frame.mass"] for entry in simulated])
+    np.testing.assert_allclose(own[:, mass], same)
 
 
 def test_a_load_that_takes_work_is_not_taken_for_its_opposite(

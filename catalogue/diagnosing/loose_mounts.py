@@ -1,0 +1,57 @@
+"""Which mount of a machine has come loose since it was in order, by simulations of that machine with and without."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.special import ndtr
+
+from jointplay.catalogue.diagnosing.causes import NamedCause
+from jointplay.catalogue.diagnosing.drawn_mounts import loosened, mounts_of
+from jointplay.catalogue.diagnosing.found_spectra import FoundSpectra
+from jointplay.catalogue.diagnosing.told_numbers import regress
+from jointplay.catalogue.matching.learning import Learning, training_set
+from jointplay.catalogue.matching.model_library import Observed, one_thread
+
+LOOSE_BELOW = 0.77
+"""Factor on stiffness: what is above is no more than a small change, here as in the search for causes."""
+
+
+def find_loose_mount(spectra: FoundSpectra, observed: Observed, labels: Sequence[str]) -> NamedCause | None:
+    """Return the mount that has come loose in a recording, as the cases of the likely sets of joints show it.
+
+    Parameters
+    ----------
+    spectra : FoundSpectra
+        In some of whose machines a mount is loose.
+    observed : Observed
+    labels : sequence of str
+        Of the sets whose cases are asked.
+
+    Returns
+    -------
+    NamedCause or None
+        None where no mount is likely to be looser than in small changes; the likeliest where several are.
+    """
+    rows = {label: spectra.rows(label) for label in labels}
+    mounts = mounts_of(spectra.entries[0].parameters)
+    if not mounts:
+        return None
+    with one_thread():
+        sets = training_set(spectra, observed.sensing, observed.watched, Learning(rows=1), rows=rows).hypotheses
+        features = np.concatenate([each.features for each in sets])
+        numbers = np.zeros((len(features), len(mounts)))
+        for row, case in enumerate(np.concatenate([rows[each.label] for each in sets]).tolist()):
+            entry = spectra.entries[case]
+            place, factor = loosened(entry.parameters, entry.draw)
+            if place >= 0:
+                numbers[row, mounts.index(place)] = math.log(factor)
+        mean, error = regress(features, numbers, observed.feature)
+    likely = ndtr((math.log(LOOSE_BELOW) - mean) / error)
+    which = int(np.argmax(likely))
+    if likely[which] < 0.5:
+        return None
+    size = float(np.exp(mean[which]))
+    return NamedCause(f"mount {mounts[which]}", size, "x stiffness", float(likely[which]), since=True)
