@@ -1,7 +1,8 @@
 """The machine as its past tells it, simulated once for all recordings of it to come: effort thorough with a baseline.
 
 What recordings of the machine in order have told - its load, ripple, frame and mounts - is in all of its cases. They
-lie over all clearances and about a speed of the catalogue, so that the next recording finds them again.
+lie over all clearances and about a speed of the catalogue, on days on which mounts are warm or cold and one may have
+come loose, so that the next recording finds them again.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from jointplay.catalogue.diagnosing.as_found import (
 from jointplay.catalogue.diagnosing.found_cases import draw_cases
 from jointplay.catalogue.diagnosing.kept_cases import simulate_once
 from jointplay.catalogue.diagnosing.known_machine import KnownMachine
-from jointplay.catalogue.diagnosing.loose_mounts import find_loose_mount
+from jointplay.catalogue.diagnosing.loose_mounts import name_loose_mount
 from jointplay.catalogue.diagnosing.told_numbers import CASES
 from jointplay.catalogue.matching.matcher import MatchResult
 from jointplay.catalogue.matching.model_library import Observed
@@ -49,6 +50,7 @@ def refine_known(
     candidates: Sequence[str],
     known: KnownMachine,
     *,
+    is_otherwise: bool,
     mode: ModeAsked = "auto",
     prior: Prior | None = None,
     cases: int,
@@ -64,6 +66,8 @@ def refine_known(
     candidates : sequence of str
         Labels of its candidate set.
     known : KnownMachine
+    is_otherwise : bool
+        Whether the recording differs from those: only then a mount that has come loose is looked for.
     mode, prior
         As for :func:`~jointplay.catalogue.diagnosing.as_found.refine`.
     cases : int
@@ -87,7 +91,7 @@ def refine_known(
     speed = factor * nominal
     sets = sorted(match.joints for match in sets_to_simulate(result, KNOWN_SETS))
     count = max(LEAST_CASES, cases // len(sets))
-    machine, drawn = draw_cases(catalogue, speed, sets, load, count, doubted=True, told=numbers, scatters=True)
+    machine, drawn = draw_cases(catalogue, speed, sets, load, count, doubted=True, told=numbers, to_come=True)
     by_set = [[entry for entry in drawn if entry.worn == joints] for joints in sets]
     simulated = [simulate_once(catalogue, machine, each) for each in by_set]
     if any(len(each.entries) < LEAST_CASES // 2 for each in simulated):
@@ -96,9 +100,8 @@ def refine_known(
     networks = networks_of(every, observed, catalogue.layout.machines)
     found = with_prior(answer_by(every, observed, mode, networks), result, prior or Prior(), len(every.joints))
     refined = blend_found(result, found, every, len(drawn), load, told=True)
-    if refined.told:
-        refined = replace(
-            refined, cause=find_loose_mount(every, observed, [e.label for e in found.hypotheses[:TOLD_BY]])
-        )
+    if refined.told and is_otherwise:
+        likeliest = [match.label for match in found.hypotheses[:TOLD_BY]]
+        refined = replace(refined, cause=name_loose_mount(machine, every, observed, likeliest))
     reason = f"{refined.reason}; numbers by {CASES} cases of the machine in order"
     return replace(refined, generations=1, reason=reason)

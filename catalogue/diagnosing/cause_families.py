@@ -27,6 +27,8 @@ ALL_MOUNTS = "all mounts"
 #: Factors on the stiffness of all mounts by which a machine in order may differ from itself: rubber that is warmer is
 #: softer.
 WARMTH = (0.9, 1.1)
+#: Factor on the stiffness of a mount, or the inverse of one, that is no more than a small change.
+SMALL_STIFFNESS = 1.3
 #: Standard deviation of the logarithm of a second factor, of damping or inertia, from what it usually is.
 SECOND_FACTOR = 0.3
 
@@ -121,7 +123,10 @@ class _Kind(NamedTuple):
 #: Where a resonance lies on an order, a valley is a tenth wide, and rubber is softer by so much on a warm day. What is
 #: softer damps less, and a frame that is lighter is easier to turn.
 _STIFFNESS = _Kind(
-    "x stiffness", (0.02, 0.1, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.1, 1.2, 1.35, 1.5, 1.75, 2.0), usual=0.5, small=1.3
+    "x stiffness",
+    (0.02, 0.1, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.1, 1.2, 1.35, 1.5, 1.75, 2.0),
+    usual=0.5,
+    small=SMALL_STIFFNESS,
 )
 _MASS = _Kind("x mass", (0.5, 0.65, 0.8, 0.9, 1.1, 1.2, 1.5, 2.0), usual=1.0, small=1.2)
 

@@ -71,7 +71,7 @@ class NamedCause:
     suspension : mapping of str to float
         Numbers of frame and supports as they then are, by path; empty where forces are the cause.
     since : bool
-        Whether it explains the difference to the machine's own past.
+        Whether the machine has not had it when it was in order, as recordings of that say.
     """
 
     name: str

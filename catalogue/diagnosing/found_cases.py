@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -28,26 +29,38 @@ DOUBT = 2.0
 
 @dataclass(frozen=True, eq=False)
 class ToldNumbers:
-    """Numbers of a machine as recordings of it have told them: normal laws, whose errors count as independent.
+    """Numbers of a machine as recordings of it have told them, by a normal law.
 
     Parameters
     ----------
     paths : tuple of str
-    mean, error : ndarray, shape (p,)
+    mean : ndarray, shape (p,)
         SI, or of the logarithm.
+    covariance : ndarray, shape (p, p)
     logarithmic : ndarray of bool, shape (p,)
         Of which numbers.
     """
 
     paths: tuple[str, ...]
     mean: FloatArray
-    error: FloatArray
+    covariance: FloatArray
     logarithmic: BoolArray
+
+    @property
+    def error(self) -> FloatArray:
+        """Standard deviations, (p,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @cached_property
+    def _root(self) -> FloatArray:
+        """Of the correlation; what is wholly alike makes it singular."""
+        alike = self.covariance / np.outer(self.error, self.error)
+        return np.asarray(np.linalg.cholesky(alike + 1e-9 * np.eye(len(alike))))
 
     def draw(self, number: int) -> dict[str, float]:
         """Return numbers by path, SI, of the machine of a draw."""
         normal = np.random.default_rng(seed_from("numbers as told", number)).normal(size=len(self.paths))
-        drawn = self.mean + self.error * normal
+        drawn = self.mean + self.error * (self._root @ normal)
         drawn[self.logarithmic] = np.exp(drawn[self.logarithmic])
         return dict(zip(self.paths, drawn.tolist(), strict=True))
 
@@ -61,7 +74,7 @@ def draw_cases(
     *,
     doubted: bool = False,
     told: ToldNumbers | None = None,
-    scatters: bool = False,
+    to_come: bool = False,
 ) -> tuple[Machine, list[Entry]]:
     """Draw so many cases of each set of worn joints, at a speed [rad/s].
 
@@ -80,10 +93,9 @@ def draw_cases(
         Whether frame and mounts may be off further than in a catalogue's trusted draws, and the drive ripples.
     told : ToldNumbers, optional
         In place of what is drawn of these numbers.
-    scatters : bool
-        Whether cases are of days to come: they turn about that speed, as those of the catalogue's plan do about its
-        own, their mounts are warmer or colder, and one may have come loose. All at that one, and as they were, unless
-        given.
+    to_come : bool
+        Whether they are of days to come, on which the machine turns about that speed, as the machines of the catalogue
+        do about theirs, its mounts are warmer or colder, and one of them may have come loose.
 
     Returns
     -------
@@ -101,19 +113,19 @@ def draw_cases(
             "fits": plan.fits.model_copy(update={"silent": 0.0}),
             "wide": plan.wide.model_copy(update={"draws": 0.0}),
             "uncertain": _doubtful(plan, machine) if doubted else plan.uncertain,
-            "speeds": (speed / catalogue.recipe.nominal_drive_speed if scatters else 1.0,),
+            "speeds": (speed / catalogue.recipe.nominal_drive_speed if to_come else 1.0,),
             "loads": None,
             "guard": 0,
         }
     )
     found = []
     # What a motor turns at follows from its numbers, which are drawn.
-    turned = {} if scatters or has_known_effort(machine) else {DRIVE_SPEED: speed}
+    turned = {} if to_come or has_known_effort(machine) else {DRIVE_SPEED: speed}
     for entry in entries_of(plan, machine):
         parameters = {**entry.parameters, **turned, **(told.draw(entry.draw) if told else {})}
-        if scatters:
-            parameters |= warm(parameters, entry.draw, "to come")
-            parameters |= loosen(parameters, entry.draw)
+        if to_come:
+            parameters |= warm(machine, parameters, entry.hypothesis.label, entry.draw)
+            parameters |= loosen(machine, parameters, entry.hypothesis.label, entry.draw)
         if load is not None:
             generator = np.random.default_rng(seed_from("load as found", entry.hypothesis.label, entry.draw))
             parameters |= dict(zip(load.paths, load.draw(generator.normal(size=2)).tolist(), strict=True))
@@ -123,7 +135,7 @@ def draw_cases(
 
 def on_a_day(entry: Entry, machine: Machine, recipe: Recipe) -> Entry:
     """Return the machine of a case as it is on some day, its mounts warmer or colder than they usually are."""
-    numbers = {**entry.parameters, **warm(entry.parameters, entry.draw, "in order")}
+    numbers = {**entry.parameters, **warm(machine, entry.parameters, entry.hypothesis.label, entry.draw)}
     return changed(entry, machine, recipe, entry.clearances, numbers)
 
 

@@ -42,6 +42,8 @@ class Heard:
         Whether entries counted by how near they are to that.
     past : PastComparison, optional
         The recording beside those of the machine in order.
+    as_recorded : Heard, optional
+        What it said before it was converted to the mounts and the frame of the machine file, where it was.
     """
 
     prepared: PreparedMeasurement
@@ -56,6 +58,7 @@ class Heard:
     known: KnownMachine | None = None
     weighed: bool = False
     past: PastComparison | None = None
+    as_recorded: Heard | None = None
 
     @property
     def p_since(self) -> float | None:

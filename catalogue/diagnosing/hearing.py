@@ -157,4 +157,5 @@ def _as_filed(
         result=result,
         p_value=p_value,
         verdict="worn" if is_surely_worn else "changed",
+        as_recorded=heard,
     )

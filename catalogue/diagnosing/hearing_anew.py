@@ -53,23 +53,32 @@ def hear_anew(heard: Heard, catalogue: Catalogue, question: Question) -> Heard:
             verdict = "changed"
         elif verdict == "worn" and before.is_doubted:
             verdict = "unknown"  # as without the simulation
-    return replace(heard, result=result, causes=causes, p_value=p_value, verdict=verdict, spent=spent)
+    seen = heard.as_recorded if refined.told and heard.as_recorded else heard
+    return replace(
+        heard,
+        prepared=seen.prepared,
+        sensing=seen.sensing,
+        feature=seen.feature,
+        result=result,
+        causes=causes,
+        p_value=p_value,
+        verdict=verdict,
+        spent=spent,
+    )
 
 
 def _simulate(heard: Heard, catalogue: Catalogue, question: Question) -> Refined:
     """The machine as its past tells it, or as the recording shows it where that tells nothing."""
-    observed = Observed(heard.sensing, heard.feature, watched_levels(heard.prepared), heard.prepared.drive_speed)
     labels = heard.result.set(question.coverage).labels
-    # A load that has come since the machine in order has not shown; and what was converted to the mounts of the file
-    # is not of the mounts that it tells.
-    known = None if _is_loaded(heard) or _is_converted(heard) else heard.known
-    if known:
+    # A load that has come since the machine in order has not shown.
+    if heard.known and not _is_loaded(heard):
         refined = refine_known(
-            observed,
+            _observed(heard.as_recorded or heard),
             catalogue,
             heard.result,
             labels,
-            known,
+            heard.known,
+            is_otherwise=not heard.is_as_it_was,
             mode=question.mode,
             prior=question.prior,
             cases=question.cases,
@@ -83,7 +92,7 @@ def _simulate(heard: Heard, catalogue: Catalogue, question: Question) -> Refined
         return Refined(heard.result, 0, 0, note)
     return refine(
         heard.prepared,
-        observed,
+        _observed(heard),
         catalogue,
         heard.result,
         labels,
@@ -93,14 +102,14 @@ def _simulate(heard: Heard, catalogue: Catalogue, question: Question) -> Refined
     )
 
 
+def _observed(heard: Heard) -> Observed:
+    """A recording as a library is asked about it."""
+    return Observed(heard.sensing, heard.feature, watched_levels(heard.prepared), heard.prepared.drive_speed)
+
+
 def _is_loaded(heard: Heard) -> bool:
     """Whether a load is what it is likeliest to have beside wear."""
     return bool(heard.causes) and heard.causes[0].name.startswith("load")
-
-
-def _is_converted(heard: Heard) -> bool:
-    """Whether the recording was made one of the file's mounts and frame, and is explained so."""
-    return bool(heard.causes) and bool(heard.causes[0].suspension) and not needs_cause(heard.result)
 
 
 def _causes(heard: Heard, refined: Refined, is_its_own: bool) -> tuple[NamedCause, ...]:
@@ -113,7 +122,9 @@ def _causes(heard: Heard, refined: Refined, is_its_own: bool) -> tuple[NamedCaus
     if heard.is_as_it_was:
         return () if was_worn and not is_worn else heard.causes
     if refined.cause:
-        return (refined.cause,)
+        # What a search takes for the frame, or for another mount, is this one; forces are not.
+        beside = [cause for cause in heard.causes if refined.cause.since and cause.since and not cause.suspension]
+        return tuple(sorted((refined.cause, *beside), key=lambda cause: -cause.probability))
     if is_its_own and (is_worn or heard.past is None):
         return tuple(cause for cause in heard.causes if cause.since)
     return heard.causes

@@ -8,22 +8,27 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.special import ndtr
 
+from jointplay.catalogue.diagnosing.cause_families import SMALL_STIFFNESS
 from jointplay.catalogue.diagnosing.causes import NamedCause
-from jointplay.catalogue.diagnosing.drawn_mounts import loosened, mounts_of
+from jointplay.catalogue.diagnosing.drawn_mounts import find_loose, mounts_of
 from jointplay.catalogue.diagnosing.found_spectra import FoundSpectra
 from jointplay.catalogue.diagnosing.told_numbers import regress
 from jointplay.catalogue.matching.learning import Learning, training_set
 from jointplay.catalogue.matching.model_library import Observed, one_thread
+from jointplay.solver.machines.machine import Machine
 
-LOOSE_BELOW = 0.77
-"""Factor on stiffness: what is above is no more than a small change, here as in the search for causes."""
+LOOSE_BELOW = 1.0 / SMALL_STIFFNESS
+"""Factor on stiffness: what is above is a small change, here as in the search for causes."""
 
 
-def find_loose_mount(spectra: FoundSpectra, observed: Observed, labels: Sequence[str]) -> NamedCause | None:
+def name_loose_mount(
+    machine: Machine, spectra: FoundSpectra, observed: Observed, labels: Sequence[str]
+) -> NamedCause | None:
     """Return the mount that has come loose in a recording, as the cases of the likely sets of joints show it.
 
     Parameters
     ----------
+    machine : Machine
     spectra : FoundSpectra
         In some of whose machines a mount is loose.
     observed : Observed
@@ -36,7 +41,7 @@ def find_loose_mount(spectra: FoundSpectra, observed: Observed, labels: Sequence
         None where no mount is likely to be looser than in small changes; the likeliest where several are.
     """
     rows = {label: spectra.rows(label) for label in labels}
-    mounts = mounts_of(spectra.entries[0].parameters)
+    mounts = mounts_of(machine)
     if not mounts:
         return None
     with one_thread():
@@ -45,10 +50,10 @@ def find_loose_mount(spectra: FoundSpectra, observed: Observed, labels: Sequence
         numbers = np.zeros((len(features), len(mounts)))
         for row, case in enumerate(np.concatenate([rows[each.label] for each in sets]).tolist()):
             entry = spectra.entries[case]
-            place, factor = loosened(entry.parameters, entry.draw)
+            place, factor = find_loose(machine, entry.hypothesis.label, entry.draw)
             if place >= 0:
                 numbers[row, mounts.index(place)] = math.log(factor)
-        mean, error = regress(features, numbers, observed.feature)
+        mean, error, _ = regress(features, numbers, observed.feature)
     likely = ndtr((math.log(LOOSE_BELOW) - mean) / error)
     which = int(np.argmax(likely))
     if likely[which] < 0.5:

@@ -67,8 +67,8 @@ def tell_numbers(
     with one_thread():
         load = find_load(catalogue, [(first, HEALTHY, 1.0)], speed, takes_work=True)
     machine, drawn = draw_cases(catalogue, speed, [()], load, CASES, doubted=True)
-    own = (f"links.{machine.frame}.", "supports.", "modes.", "drive.ripple.")
-    paths = tuple(path for path in drawn[0].parameters if path.startswith(own))
+    doubtful = (f"links.{machine.frame}.", "supports.", "modes.", "drive.ripple.")
+    paths = tuple(path for path in drawn[0].parameters if path.startswith(doubtful))
     if not (paths or load):
         return None, None
     cases = simulate_once(catalogue, machine, [on_a_day(entry, machine, catalogue.recipe) for entry in drawn])
@@ -86,11 +86,14 @@ def tell_numbers(
         rows = {HEALTHY: cases.rows(HEALTHY)}
         (draws,) = training_set(cases, sensing, watched_levels(first), Learning(rows=1), rows=rows).hypotheses
         both = np.hstack([sizes @ parts.T if load else sizes, numbers])
-        mean, error = regress(draws.features, both, shown)
+        mean, error, left = regress(draws.features, both, shown)
     if load:
         back = np.linalg.inv(parts)
         load = replace(load, mean=back @ mean[:2], covariance=back @ np.diag(error[:2] ** 2) @ back.T, wider=1.0)
-    return load, ToldNumbers(paths, mean[len(of_load) :], error[len(of_load) :], logarithmic)
+    # Both directions of a mount are one number of a draw, and a day is common to all mounts.
+    alike = np.nan_to_num(np.corrcoef(left[:, len(of_load) :], rowvar=False)).reshape(len(paths), len(paths))
+    own = error[len(of_load) :]
+    return load, ToldNumbers(paths, mean[len(of_load) :], alike * np.outer(own, own), logarithmic)
 
 
 def _shown(in_order: Sequence[PreparedMeasurement]) -> tuple[Sensing, FloatArray]:
@@ -109,8 +112,10 @@ def _shown(in_order: Sequence[PreparedMeasurement]) -> tuple[Sensing, FloatArray
     return sensing, np.mean([features_of(each, sensing) for each in alike], axis=0)
 
 
-def regress(features: FloatArray, numbers: FloatArray, shown: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return numbers (p,) of what shows features (d,), and their errors, by cases of both, (n, d) and (n, p).
+def regress(features: FloatArray, numbers: FloatArray, shown: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return numbers (p,) of what shows features (d,), their errors, and those (n, p) of cases that are left out.
+
+    By cases of both, (n, d) and (n, p).
 
     Kernel ridge regression on principal components; width and penalty are those of the least error where one case is
     left out, for every number. Away from all cases the error grows to the scatter of the number (C. E. Rasmussen,
@@ -127,7 +132,7 @@ def regress(features: FloatArray, numbers: FloatArray, shown: FloatArray) -> tup
     mean, spread = numbers.mean(axis=0), numbers.std(axis=0) + 1e-300
     known = (numbers - mean) / spread
     found, errors = np.zeros(len(mean)), np.full(len(mean), np.inf)
-    beyond = np.zeros(len(mean))
+    beyond, missed = np.zeros(len(mean)), np.zeros_like(numbers)
     for width in WIDTHS:
         sizes, ways = np.linalg.eigh(np.exp(-0.5 * apart / width**2))
         sizes, turned = np.maximum(sizes, 0.0), ways.T @ known
@@ -141,5 +146,6 @@ def regress(features: FloatArray, numbers: FloatArray, shown: FloatArray) -> tup
             less = max(0.0, 1.0 - float(np.sum(near**2 / (sizes + ridge))) - float(np.mean(1.0 / inverse - ridge)))
             better = error < errors
             found, beyond = np.where(better, told, found), np.where(better, less, beyond)
+            missed = np.where(better, left, missed)
             errors = np.minimum(error, errors)
-    return mean + spread * found, spread * np.minimum(1.0, np.sqrt(errors**2 + beyond))
+    return mean + spread * found, spread * np.minimum(1.0, np.sqrt(errors**2 + beyond)), spread * missed

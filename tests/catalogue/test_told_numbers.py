@@ -25,7 +25,7 @@ from jointplay.catalogue.diagnosing.told_numbers import regress, tell_numbers
 from jointplay.catalogue.evaluation.protocols import PROTOCOLS, draw_truth
 from jointplay.catalogue.evaluation.recordings import Recordings, recorded
 from jointplay.catalogue.matching.matcher import MatchResult, rank
-from jointplay.catalogue.matching.model_library import library_of
+from jointplay.catalogue.matching.model_library import Observed, library_of
 from jointplay.catalogue.plans.entry import HEALTHY, Entry, Hypothesis
 from jointplay.catalogue.signals.features import prepare
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
@@ -79,6 +79,10 @@ def test_a_machine_in_order_tells_what_its_file_has_not(
         mean, error = own[f"drive.ripple.{place}.amplitude"]
         assert abs(mean - RIPPLE.amplitude * true) < 3.0 * error
         assert error < 0.5e-3  # of 0.6e-3 before
+    place = numbers.paths.index(MOUNT)
+    other = numbers.paths.index(MOUNT.removesuffix("1") + "0")
+    both = numbers.covariance[np.ix_([place, other], [place, other])]
+    assert both[0, 1] == pytest.approx(both[0, 0]) == pytest.approx(both[1, 1])  # one number of a draw
     mean, error = own[MOUNT]
     assert error < 0.08  # of 0.1 before
     assert abs(mean - math.log(1.15 * small_catalogue.machine.supports[0].stiffness[1])) < 3.0 * error
@@ -96,9 +100,9 @@ def test_mounts_are_told_as_they_are_when_it_is_neither_warm_nor_cold(
         simulated.extend(found.entries)
         return found
 
-    def tell(features: FloatArray, numbers: FloatArray, _: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def tell(features: FloatArray, numbers: FloatArray, _: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         told.append(numbers)
-        return numbers.mean(axis=0), numbers.std(axis=0)
+        return numbers.mean(axis=0), numbers.std(axis=0), numbers - numbers.mean(axis=0)
 
     monkeypatch.setattr(told_numbers, "CASES", 16)
     monkeypatch.setattr(told_numbers, "simulate_once", simulate)
@@ -132,12 +136,13 @@ def test_a_number_is_told_as_far_as_features_show_it() -> None:
     numbers = np.column_stack([bent, generator.normal(5.0, 2.0, 400)])
     shown = np.zeros(12)
     shown[:2] = 0.8, -1.0
-    mean, error = regress(features, numbers, shown)
+    mean, error, left = regress(features, numbers, shown)
     assert mean[0] == pytest.approx(math.sin(0.8) + 0.3, abs=3.0 * error[0])
     assert error[0] < 0.5 * bent.std()
     assert mean[1] == pytest.approx(numbers[:, 1].mean(), abs=0.6)
     assert error[1] == pytest.approx(2.0, rel=0.15)
-    _, far = regress(features, numbers, np.array([4.0, -4.0] * 6))
+    np.testing.assert_allclose(np.sqrt(np.mean(left**2, axis=0)), error, rtol=0.1)
+    _, far, _ = regress(features, numbers, np.array([4.0, -4.0] * 6))
     assert far[0] > 0.8 * bent.std() > error[0]
     assert regress(features, numbers[:, :0], shown)[0].shape == (0,)
 
@@ -146,12 +151,15 @@ def test_what_is_told_is_the_same_in_every_set(small_catalogue: Catalogue) -> No
     """A draw is one machine whatever is worn; what is not told is as doubtful as the file of such a machine."""
     speed = small_catalogue.recipe.nominal_drive_speed
     paths = ("links.frame.mass", "drive.ripple.0.amplitude")
-    told = ToldNumbers(paths, np.array([math.log(9.0), 2e-4]), np.array([0.02, 1e-4]), np.array([True, False]))
+    told = ToldNumbers(paths, np.array([math.log(9.0), 2e-4]), np.diag([0.02**2, 1e-8]), np.array([True, False]))
     machine, drawn = draw_cases(small_catalogue, speed, [("A",), ("A", "B")], None, 64, doubted=True, told=told)
     assert machine == small_catalogue.machine
     by_set = {label: [entry for entry in drawn if entry.hypothesis.label == label] for label in ("A", "A+B")}
     for one, two in zip(*by_set.values(), strict=True):
         assert all(one.parameters[path] == two.parameters[path] for path in paths)
+    alike = ToldNumbers(paths, told.mean, np.array([[4e-4, 2e-6], [2e-6, 1e-8]]), told.logarithmic)
+    both = np.array([[math.log(each[paths[0]]), each[paths[1]]] for each in map(alike.draw, range(200))])
+    assert np.corrcoef(both.T)[0, 1] > 0.999
     mass = np.log([entry.parameters["links.frame.mass"] for entry in drawn])
     assert mass.mean() == pytest.approx(math.log(9.0), abs=0.01)
     assert 0.01 < mass.std() < 0.03
@@ -268,6 +276,52 @@ def test_what_was_looked_for_beside_wear_goes_with_it(
     shown, _ = answer(worn, "0" * 64, small_catalogue, Question(effort="thorough"), known=known)
     assert shown.effort_spent.note == "simulated"
     assert (len(shown.causes), shown.verdict) == (named, verdict)
+
+
+@pytest.mark.parametrize(
+    ("p_since", "p_worn", "named", "verdict"),
+    [
+        (0.5, 0.1, [], "in_order"),
+        (0.001, 0.1, ["unbalance", "mount 0"], "changed"),
+        (0.001, 0.95, ["unbalance", "mount 0"], "worn"),
+    ],
+)
+def test_a_loose_mount_is_what_a_search_took_for_the_frame(
+    small_catalogue: Catalogue,
+    in_order: PreparedMeasurement,
+    monkeypatch: pytest.MonkeyPatch,
+    p_since: float,
+    p_worn: float,
+    named: list[str],
+    verdict: str,
+) -> None:
+    """Forces that have come since are told beside it; and what was converted is compared as it was recorded."""
+    mass = NamedCause("mass of frame", 1.4, "x mass", 0.99, {"links.frame.mass": 9.0}, since=True)
+    unbalance = NamedCause("unbalance", 0.01, "kg m", 0.9, since=True)
+    mount = NamedCause("mount 0", 0.7, "x stiffness", 0.7, since=True)
+    asked: list[Observed] = []
+
+    def refine(observed: Observed, _: object, result: MatchResult, *_others: object, **how: Any) -> Refined:
+        asked.append(observed)
+        assert how["is_otherwise"] == (p_since < 0.005)
+        shares = {True: p_worn / result.p_worn, False: (1.0 - p_worn) / (1.0 - result.p_worn)}
+        matches = [
+            replace(each, probability=each.probability * shares[bool(each.joints)], p_value=0.5)
+            for each in result.hypotheses
+        ]
+        return Refined(replace(rank(matches), trusted_p_value=0.5), 1, 1, "simulated", mount, told=True)
+
+    monkeypatch.setattr(hearing_anew, "refine_known", refine)
+    known = KnownMachine.of({"one": in_order}, small_catalogue)
+    worn = recording_of(small_catalogue, ["B"])
+    heard = hearing.hear(worn, "0" * 64, small_catalogue, Question(), library_of(small_catalogue), known=known)
+    assert heard.past is not None
+    heard = replace(heard, causes=(mass, unbalance), past=replace(heard.past, p_value=p_since))
+    converted = replace(heard, feature=heard.feature + 1.0, prepared=in_order, as_recorded=heard)
+    found = hearing_anew.hear_anew(converted, small_catalogue, Question(effort="thorough"))
+    assert asked[0].feature is heard.feature
+    assert found.prepared is heard.prepared and found.feature is heard.feature
+    assert ([cause.name for cause in found.causes], found.verdict) == (named, verdict)
 
 
 @pytest.mark.parametrize(("p_worn", "verdict", "p_value"), [(0.95, "worn", 0.4), (0.85, "unknown", 0.001)])
