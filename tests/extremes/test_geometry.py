@@ -37,6 +37,7 @@ def test_a_parallelogram_stays_one_through_its_change_points(method: Method) -> 
     assert np.abs(history.acceleration).max() < 20
 
 
+@pytest.mark.long
 def test_a_slider_passes_its_shaft() -> None:
     """Equal crank and rod: the slider could stay on the shaft for good; it goes on, the rod mirrors the crank."""
     tree = equal_legs()

@@ -15,6 +15,7 @@ from laws import run, states, tree_of
 from jointplay.solver.machines.machine import parse_machine
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     # Measured: 1.1e-8 and 5e-9 of the energy at 1e-10; a hundred times the tolerance loses 4e-7 and 1.6e-6.
     ("name", "duration"), [("four-bar", 1000.0), ("slider-crank", 1700.0)],

@@ -97,6 +97,7 @@ def energy(machine: Machine, clearance: float, q: Array, v: Array) -> float:
     return total
 
 
+@pytest.mark.long
 def test_energy_stays_without_damping_and_friction() -> None:
     bodies = {
         "frame": Body(10.0, 0.3, (0.0, 0.0)),
