@@ -53,8 +53,9 @@ class ToldNumbers:
 
     @cached_property
     def _root(self) -> FloatArray:
-        """Of the correlation; what is wholly alike makes it singular."""
-        alike = self.covariance / np.outer(self.error, self.error)
+        """Of the correlation; what is wholly alike, or certain, makes it singular."""
+        scale = np.where(self.error > 0.0, self.error, 1.0)
+        alike = self.covariance / np.outer(scale, scale)
         return np.asarray(np.linalg.cholesky(alike + 1e-9 * np.eye(len(alike))))
 
     def draw(self, number: int) -> dict[str, float]:

@@ -90,10 +90,9 @@ def tell_numbers(
     if load:
         back = np.linalg.inv(parts)
         load = replace(load, mean=back @ mean[:2], covariance=back @ np.diag(error[:2] ** 2) @ back.T, wider=1.0)
-    # Both directions of a mount are one number of a draw, and a day is common to all mounts.
-    alike = np.nan_to_num(np.corrcoef(left[:, len(of_load) :], rowvar=False)).reshape(len(paths), len(paths))
-    own = error[len(of_load) :]
-    return load, ToldNumbers(paths, mean[len(of_load) :], alike * np.outer(own, own), logarithmic)
+    first_own = len(of_load)
+    covariance = covariance_of(left[:, first_own:], error[first_own:])
+    return load, ToldNumbers(paths, mean[first_own:], covariance, logarithmic)
 
 
 def _shown(in_order: Sequence[PreparedMeasurement]) -> tuple[Sensing, FloatArray]:
@@ -149,3 +148,13 @@ def regress(features: FloatArray, numbers: FloatArray, shown: FloatArray) -> tup
             missed = np.where(better, left, missed)
             errors = np.minimum(error, errors)
     return mean + spread * found, spread * np.minimum(1.0, np.sqrt(errors**2 + beyond)), spread * missed
+
+
+def covariance_of(left: FloatArray, error: FloatArray) -> FloatArray:
+    """Return the covariance (p, p) of numbers with such errors (p,), which go together as those (n, p) of cases do.
+
+    Both directions of a mount are one number of a draw, and a day is common to all mounts. A number that no case draws
+    anew has none.
+    """
+    scaled = left * (error / np.maximum(np.sqrt(np.mean(left**2, axis=0)), 1e-300))
+    return np.asarray(scaled.T @ scaled / len(left))

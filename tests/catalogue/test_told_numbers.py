@@ -21,7 +21,7 @@ from jointplay.catalogue.diagnosing.known_machine import KnownMachine
 from jointplay.catalogue.diagnosing.past import PastComparison
 from jointplay.catalogue.diagnosing.question import Question
 from jointplay.catalogue.diagnosing.stroke_loads import COMMON, DIFFERENCE, StrokeLoads, find_load
-from jointplay.catalogue.diagnosing.told_numbers import regress, tell_numbers
+from jointplay.catalogue.diagnosing.told_numbers import covariance_of, regress, tell_numbers
 from jointplay.catalogue.evaluation.protocols import PROTOCOLS, draw_truth
 from jointplay.catalogue.evaluation.recordings import Recordings, recorded
 from jointplay.catalogue.matching.matcher import MatchResult, rank
@@ -145,6 +145,23 @@ def test_a_number_is_told_as_far_as_features_show_it() -> None:
     _, far, _ = regress(features, numbers, np.array([4.0, -4.0] * 6))
     assert far[0] > 0.8 * bent.std() > error[0]
     assert regress(features, numbers[:, :0], shown)[0].shape == (0,)
+
+
+def test_errors_go_together_as_those_of_cases_do() -> None:
+    """As large as they are said to be; a number that no case draws anew, as damping that is 0, is certain."""
+    generator = np.random.default_rng(1)
+    one, two = generator.normal(size=(2, 500))
+    covariance = covariance_of(
+        np.column_stack([one, -3.0 * one, one + two, np.zeros(500)]), np.array([1, 2, 3, 1e-300])
+    )
+    assert np.sqrt(np.diag(covariance)) == pytest.approx([1.0, 2.0, 3.0, 0.0])
+    assert covariance[0, 1] == pytest.approx(-2.0)
+    assert covariance[0, 2] / 3.0 == pytest.approx(math.sqrt(0.5), abs=0.06)
+    told = ToldNumbers(("a", "b", "c", "d"), np.array([0.0, 0.0, 0.0, 0.5]), covariance, np.full(4, False))
+    drawn = np.array([[*told.draw(number).values()] for number in range(300)])
+    assert (drawn[:, 3] == 0.5).all()
+    np.testing.assert_allclose(drawn[:, 1], -2.0 * drawn[:, 0], atol=1e-3)
+    np.testing.assert_allclose(drawn.std(axis=0), [1.0, 2.0, 3.0, 0.0], rtol=0.15)
 
 
 def test_what_is_told_is_the_same_in_every_set(small_catalogue: Catalogue) -> None:
