@@ -114,6 +114,7 @@ def test_numbers_that_are_refused(path: str, value: float, rule: str) -> None:
     assert str(refusal.value) == f"m.yaml: {path}: {value:g}: {rule}"
 
 
+@pytest.mark.long
 def test_a_worn_machine_starts_from_a_change_point() -> None:
     """Nothing is redundant once a pin has clearance: the reactions there follow from where it is."""
     run(four_bar(0.06, 0.20, 0.06, 0.20, 0.0), WORN, duration=0.5, sample_rate=2000)

@@ -120,6 +120,7 @@ def closed_form(theta: Array, r: float = 0.05, length: float = 0.15) -> Array:
     return r * np.cos(theta) + np.sqrt(length**2 - (r * np.sin(theta)) ** 2)
 
 
+@pytest.mark.long
 def test_without_play_the_slider_moves_as_kinematics_say() -> None:
     machine = read("slider-crank").with_body("frame", mass=math.inf, inertia=math.inf)
     machine = machine.with_contact(Contact("linear", 3e8, 3e3, friction=0.0))
