@@ -7,7 +7,7 @@ supports (mass, a mount, all mounts). Its members differ by a number or two.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple, Protocol, Self
@@ -231,7 +231,7 @@ def _move(accelerance: ComplexArray, wrench: Wrench, speed: float) -> ComplexArr
 def families_of(model: IdealFrame) -> Iterator[Family]:
     """Yield every family that a machine may have."""
     machine = model.machine
-    mounts = [index for index, support in enumerate(machine.supports) if isinstance(support, Mount)]
+    mounts = mounts_of(machine)
     for name, group in [*((f"mount {index}", [index]) for index in mounts), (ALL_MOUNTS, mounts)]:
         yield _Factor.of(name, _STIFFNESS, model, partial(mount_numbers, machine, group))
     yield _Factor.of(f"mass of {machine.frame}", _MASS, model, partial(_frame, machine))
@@ -244,15 +244,26 @@ def forces_of(model: IdealFrame, family: FamilyWrench) -> Family:
     return _Forces(family, model.motion, _move(model.accelerance, family.wrench, model.speed))
 
 
-def mount_numbers(machine: Machine, group: Sequence[int], factor: float, damping: float) -> dict[str, float]:
-    """Return numbers of mounts whose stiffness has a factor, and whose damping another one, by path."""
+def mounts_of(machine: Machine) -> list[int]:
+    """Return the places of mounts among the supports of a machine."""
+    return [place for place, support in enumerate(machine.supports) if isinstance(support, Mount)]
+
+
+def mount_numbers(
+    machine: Machine, group: Sequence[int], factor: float, damping: float, own: Mapping[str, float] | None = None
+) -> dict[str, float]:
+    """Return numbers of mounts whose stiffness has a factor, and whose damping another one, by path.
+
+    On the machine's own numbers, by path, where it has some that are not those of its file.
+    """
     found: dict[str, float] = {}
     for index in group:
         mount = machine.supports[index]
         assert isinstance(mount, Mount)
-        for axis in (0, 1):
-            found[f"supports.{index}.stiffness.{axis}"] = factor * mount.stiffness[axis]
-            found[f"supports.{index}.damping.{axis}"] = damping * mount.damping[axis]
+        for name, by, filed in (("stiffness", factor, mount.stiffness), ("damping", damping, mount.damping)):
+            for axis in (0, 1):
+                path = f"supports.{index}.{name}.{axis}"
+                found[path] = by * (own or {}).get(path, filed[axis])
     return found
 
 

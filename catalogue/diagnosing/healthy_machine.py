@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from jointplay.catalogue.diagnosing.cause_families import mounts_of
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.plans.driving import at_speed
 from jointplay.catalogue.plans.parameters import MachineNumbers
@@ -18,7 +19,6 @@ from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.arrays import ComplexArray, FloatArray
 from jointplay.solver.cases.case import Case, Settings, Status
 from jointplay.solver.machines.machine import Machine
-from jointplay.solver.machines.parts import Mount
 from jointplay.solver.simulation.simulate import simulate_batch
 from jointplay.solver.spectra.band_power import WINDOW_REVOLUTIONS, band_matrix
 
@@ -64,7 +64,7 @@ def quantities(machine: Machine) -> tuple[TunedQuantity, ...]:
         path = f"links.{machine.frame}.{name}"
         if numbers.get(path):
             found.append(TunedQuantity(f"frame.{name}", {path: numbers[path]}, MASS_SCATTER))
-    mounts = [index for index, support in enumerate(machine.supports) if isinstance(support, Mount)]
+    mounts = mounts_of(machine)
     others = [index for index in range(len(machine.supports)) if index not in mounts]
     groups = {
         "supports.stiffness.x": ([f"supports.{index}.stiffness.0" for index in mounts], STIFFNESS_SCATTER),

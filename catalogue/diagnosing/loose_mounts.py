@@ -8,9 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.special import ndtr
 
-from jointplay.catalogue.diagnosing.cause_families import SMALL_STIFFNESS
+from jointplay.catalogue.diagnosing.cause_families import SMALL_STIFFNESS, mounts_of
 from jointplay.catalogue.diagnosing.causes import NamedCause
-from jointplay.catalogue.diagnosing.drawn_mounts import find_loose, mounts_of
+from jointplay.catalogue.diagnosing.drawn_mounts import find_loose
 from jointplay.catalogue.diagnosing.found_spectra import FoundSpectra
 from jointplay.catalogue.diagnosing.told_numbers import regress
 from jointplay.catalogue.matching.learning import Learning, training_set

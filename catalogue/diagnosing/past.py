@@ -22,7 +22,7 @@ from jointplay.catalogue.diagnosing.baseline_levels import (
     class_statistics,
     share_beyond,
 )
-from jointplay.catalogue.diagnosing.cause_families import WARMTH, mount_numbers
+from jointplay.catalogue.diagnosing.cause_families import WARMTH, mount_numbers, mounts_of
 from jointplay.catalogue.diagnosing.comparison import view_of
 from jointplay.catalogue.plans.entry import HEALTHY
 from jointplay.catalogue.signals.feature_bands import feature_axes
@@ -32,7 +32,6 @@ from jointplay.catalogue.storage.cross_power import unpack
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.arrays import AnyComplexArray, BoolArray, FloatArray, IntArray
 from jointplay.solver.machines.machine import Machine
-from jointplay.solver.machines.parts import Mount
 from jointplay.solver.spectra.bands import FEATURE_ORDERS
 
 #: What two recordings of a machine in order differ by at one speed, as a part of what machines scatter by: contacts
@@ -180,10 +179,9 @@ def _by_warmth(known: LevelStatistics, machine: Machine) -> FloatArray:
         return np.zeros((1, len(known.mean)))
     prepared = known.levels.prepared
     frequency = np.arange(1.0, FEATURE_ORDERS + 1.0) * (prepared.drive_speed / (2.0 * math.pi))
-    mounts = [place for place, each in enumerate(machine.supports) if isinstance(each, Mount)]
     levels = []
     for factor in WARM_AND_COLD.tolist():
-        numbers = mount_numbers(machine, mounts, factor, math.sqrt(factor))
+        numbers = mount_numbers(machine, mounts_of(machine), factor, math.sqrt(factor))
         passed = inverse_of(suspension_change(machine, numbers, frequency))
         levels.append(known.levels.of_motion(passed @ known.power @ passed.conj().swapaxes(-1, -2)))
     return np.asarray(np.array(levels) - known.levels.of_motion(known.power)).reshape(len(WARM_AND_COLD), -1)

@@ -57,6 +57,23 @@ def recording_of(catalogue: Catalogue, worn: list[str]) -> PreparedMeasurement:
     return prepare(recorded(SHORT, truth, ideal), catalogue.machine, scheme=catalogue.scheme)
 
 
+def with_p_worn(
+    result: MatchResult, p_worn: float, p_value: float | None, trusted_p_value: float | None
+) -> MatchResult:
+    """An answer with another probability of wear, and other p-values where some are given."""
+    shares = {True: p_worn / result.p_worn, False: (1.0 - p_worn) / (1.0 - result.p_worn)}
+    matches = [
+        replace(
+            each,
+            probability=each.probability * shares[bool(each.joints)],
+            p_value=each.p_value if p_value is None else p_value,
+        )
+        for each in result.hypotheses
+    ]
+    found = rank(matches)
+    return found if trusted_p_value is None else replace(found, trusted_p_value=trusted_p_value)
+
+
 @pytest.fixture(scope="module")
 def in_order(small_catalogue: Catalogue) -> PreparedMeasurement:
     return recording_of(small_catalogue, [])
@@ -268,16 +285,8 @@ def test_what_was_looked_for_beside_wear_goes_with_it(
     """
 
     def refine(_: object, __: object, result: MatchResult, *_others: object, **____: object) -> Refined:
-        worn = result.p_worn
-        matches = [
-            replace(each, probability=each.probability * (p_worn / worn if each.joints else (1 - p_worn) / (1 - worn)))
-            for each in result.hypotheses
-        ]
-        found = rank(matches)
-        if is_its_own:
-            fitting = tuple(replace(each, p_value=0.5) for each in found.hypotheses)
-            found = replace(found, hypotheses=fitting, trusted_p_value=0.5)
-        return Refined(found, 1, 1, "simulated", told=is_its_own)
+        fit = (0.5, 0.5) if is_its_own else (None, None)
+        return Refined(with_p_worn(result, p_worn, *fit), 1, 1, "simulated", told=is_its_own)
 
     def compare_with_past(*given: Any) -> PastComparison | None:
         found = compare(*given)
@@ -321,12 +330,7 @@ def test_a_loose_mount_is_what_a_search_took_for_the_frame(
     def refine(observed: Observed, _: object, result: MatchResult, *_others: object, **how: Any) -> Refined:
         asked.append(observed)
         assert how["is_otherwise"] == (p_since < 0.005)
-        shares = {True: p_worn / result.p_worn, False: (1.0 - p_worn) / (1.0 - result.p_worn)}
-        matches = [
-            replace(each, probability=each.probability * shares[bool(each.joints)], p_value=0.5)
-            for each in result.hypotheses
-        ]
-        return Refined(replace(rank(matches), trusted_p_value=0.5), 1, 1, "simulated", mount, told=True)
+        return Refined(with_p_worn(result, p_worn, 0.5, 0.5), 1, 1, "simulated", mount, told=True)
 
     monkeypatch.setattr(hearing_anew, "refine_known", refine)
     known = KnownMachine.of({"one": in_order}, small_catalogue)
@@ -353,12 +357,7 @@ def test_wear_that_catalogue_and_simulation_are_sure_of_is_worn(
     """Also where the simulated machine does not explain the recording, as the catalogue's machines do."""
 
     def refine(_: object, __: object, result: MatchResult, *_others: object, **____: object) -> Refined:
-        shares = {True: p_worn / result.p_worn, False: (1.0 - p_worn) / (1.0 - result.p_worn)}
-        matches = [
-            replace(each, probability=each.probability * shares[bool(each.joints)], p_value=0.001)
-            for each in result.hypotheses
-        ]
-        return Refined(replace(rank(matches), trusted_p_value=0.01), 1, 1, "simulated", told=True)
+        return Refined(with_p_worn(result, p_worn, 0.001, 0.01), 1, 1, "simulated", told=True)
 
     monkeypatch.setattr(hearing_anew, "refine_known", refine)
     known = KnownMachine.of({"one": in_order}, small_catalogue)
