@@ -37,7 +37,8 @@ KNOWN_SETS = 16
 """Sets of joints that are simulated, at most: all of a machine with four joints."""
 
 TOLD_BY = 4
-"""The likeliest sets, whose cases tell whether a mount is loose."""
+"""The likeliest sets, whose cases tell whether a mount is loose: at eight visits of a slider-crank with one below 0.65
+four named it at all, 0.03 off in the mean, two at seven; four take 2.3 s of a core, two 0.5, eight 15."""
 
 LEAST_CASES = 192
 """Cases of a set, at least: fewer teach no network."""
