@@ -69,7 +69,7 @@ if TYPE_CHECKING:
     type=click.IntRange(1, 100_000),
     default=2304,
     show_default=True,
-    help="Cases that effort thorough may simulate; beside a baseline 192 for each set of joints at least, and 768.",
+    help="Cases that effort thorough may simulate; beside a baseline 576 for each set of joints at least, and 768.",
 )
 @click.option(
     "--prior",

@@ -8,10 +8,12 @@ come loose, so that the next recording finds them again.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from functools import reduce
+from functools import partial, reduce
 from operator import add
 
+from jointplay.catalogue.building.executors import count_processors
 from jointplay.catalogue.diagnosing.as_found import (
     Refined,
     answer_by,
@@ -27,7 +29,7 @@ from jointplay.catalogue.diagnosing.known_machine import KnownMachine
 from jointplay.catalogue.diagnosing.loose_mounts import name_loose_mount
 from jointplay.catalogue.diagnosing.told_numbers import CASES
 from jointplay.catalogue.matching.matcher import MatchResult
-from jointplay.catalogue.matching.model_library import Observed
+from jointplay.catalogue.matching.model_library import Observed, one_thread
 from jointplay.catalogue.matching.modes import ModeAsked
 from jointplay.catalogue.matching.prior import Prior
 from jointplay.catalogue.plans.plan_parts import SPEED
@@ -40,8 +42,8 @@ TOLD_BY = 4
 """The likeliest sets, whose cases tell whether a mount is loose: at eight visits of a slider-crank with one below 0.65
 four named it at all, 0.03 off in the mean, two at seven; four take 2.3 s of a core, two 0.5, eight 15."""
 
-LEAST_CASES = 192
-"""Cases of a set, at least: fewer teach no network."""
+LEAST_CASES = 576
+"""Cases of a set, at least."""
 
 
 def refine_known(
@@ -94,7 +96,8 @@ def refine_known(
     count = max(LEAST_CASES, cases // len(sets))
     machine, drawn = draw_cases(catalogue, speed, sets, load, count, doubted=True, told=numbers, to_come=True)
     by_set = [[entry for entry in drawn if entry.worn == joints] for joints in sets]
-    simulated = [simulate_once(catalogue, machine, each) for each in by_set]
+    with one_thread(), ThreadPoolExecutor(count_processors()) as threads:  # compiled code lets go of the interpreter
+        simulated = list(threads.map(partial(simulate_once, catalogue, machine), by_set))
     if any(len(each.entries) < LEAST_CASES // 2 for each in simulated):
         return Refined(result, len(drawn), 1, "some hypotheses could not be simulated, so that nothing changes")
     every = reduce(add, simulated)
