@@ -59,7 +59,11 @@ KNOWN_SHARE = 0.8
 """Weight of what the machine says whose load and numbers its past has told."""
 
 TRAINING = NetworkTraining(rows=20_000, blocks=20)
-"""Of the network that learns the cases of one recording: 60 000 rows take three times as long and know no more."""
+"""Of the network that learns the cases of one recording, some 2000: 60 000 rows take three times as long and know no
+more."""
+
+CASE_ROWS = 5
+"""Rows of a case, at least: of 8640 cases twice as many as 20 000 know more."""
 
 NEAR = 0.5
 """Difference in ln(clearance) within which cases speak for an answer (standard deviation)."""
@@ -233,7 +237,8 @@ def networks_of(spectra: FoundSpectra, observed: Observed, folder: Path | None =
 
     One that is in the folder already is not trained again.
     """
-    shelf = NetworkShelf(spectra, observed.sensing, folder, TRAINING)
+    training = replace(TRAINING, rows=max(TRAINING.rows, CASE_ROWS * len(spectra.entries)))
+    shelf = NetworkShelf(spectra, observed.sensing, folder, training)
     learning = Learning.of("trusted")
     asked = (observed.sensing, learning, observed.speed)
     if shelf.applies(*asked) and shelf.get(*asked) is None:
