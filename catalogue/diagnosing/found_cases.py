@@ -12,7 +12,7 @@ from jointplay.catalogue.building.chunk import cut_chunks, simulate_chunk
 from jointplay.catalogue.diagnosing.drawn_mounts import loosen, warm
 from jointplay.catalogue.diagnosing.found_spectra import FoundSpectra
 from jointplay.catalogue.diagnosing.stroke_loads import FoundLoad
-from jointplay.catalogue.plans.cases import entries_of
+from jointplay.catalogue.plans.cases import Numbers, entries_of
 from jointplay.catalogue.plans.driving import DRIVE_SPEED
 from jointplay.catalogue.plans.entry import Entry, Recipe, seed_from
 from jointplay.catalogue.plans.parameters import ripple_order
@@ -119,19 +119,21 @@ def draw_cases(
             "guard": 0,
         }
     )
-    found = []
     # What a motor turns at follows from its numbers, which are drawn.
     turned = {} if to_come or has_known_effort(machine) else {DRIVE_SPEED: speed}
-    for entry in entries_of(plan, machine):
-        parameters = {**entry.parameters, **turned, **(told.draw(entry.draw) if told else {})}
+    as_told = [told.draw(number) if told else {} for number in range(count)]
+
+    def change(label: str, number: int, drawn: Numbers) -> Numbers:
+        parameters = {**drawn, **turned, **as_told[number]}
         if to_come:
-            parameters |= warm(machine, parameters, entry.hypothesis.label, entry.draw)
-            parameters |= loosen(machine, parameters, entry.hypothesis.label, entry.draw)
+            parameters |= warm(machine, parameters, label, number)
+            parameters |= loosen(machine, parameters, label, number)
         if load is not None:
-            generator = np.random.default_rng(seed_from("load as found", entry.hypothesis.label, entry.draw))
+            generator = np.random.default_rng(seed_from("load as found", label, number))
             parameters |= dict(zip(load.paths, load.draw(generator.normal(size=2)).tolist(), strict=True))
-        found.append(changed(entry, machine, catalogue.recipe, entry.clearances, parameters))
-    return machine, found
+        return parameters
+
+    return machine, list(entries_of(plan, machine, change))
 
 
 def on_a_day(entry: Entry, machine: Machine, recipe: Recipe) -> Entry:

@@ -20,6 +20,9 @@ from jointplay.solver.machines.machine import Machine
 LOOSE_BELOW = 1.0 / SMALL_STIFFNESS
 """Factor on stiffness: what is above is a small change, here as in the search for causes."""
 
+FIRST = 192
+"""Cases of a set that are asked, the first, which lie over everything as all do: the time grows with their cube."""
+
 
 def name_loose_mount(
     machine: Machine, spectra: FoundSpectra, observed: Observed, labels: Sequence[str]
@@ -40,7 +43,7 @@ def name_loose_mount(
     NamedCause or None
         None where no mount is likely to be looser than in small changes; the likeliest where several are.
     """
-    rows = {label: spectra.rows(label) for label in labels}
+    rows = {label: spectra.rows(label)[:FIRST] for label in labels}
     mounts = mounts_of(machine)
     if not mounts:
         return None

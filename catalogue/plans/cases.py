@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import accumulate, combinations, product
+from typing import TypeAlias
 
 import numpy as np
 
@@ -36,6 +37,9 @@ socket or the machine would be another one."""
 
 BEYOND_FIT = 1.25
 """Least clearance of a worn joint, as a part of the greatest play of its fit."""
+
+Numbers: TypeAlias = Mapping[str, float]
+"""Numbers of a machine by path, SI."""
 
 _WORN = {"singles": 1, "pairs": 2, "triples": 3}
 
@@ -133,8 +137,12 @@ def sequences_of(plan: Plan, machine: Machine) -> Iterator[Sequence]:
                     yield from (Sequence(hypothesis, stratum, *day, number, is_again) for day in days)
 
 
-def entries_of(plan: Plan, machine: Machine) -> tuple[Entry, ...]:
+def entries_of(
+    plan: Plan, machine: Machine, change: Callable[[str, int, Numbers], Numbers] | None = None
+) -> tuple[Entry, ...]:
     """Every case of a plan for a machine: by hypothesis, stratum, speed, load, then by draw.
+
+    A change, where there is one, makes its numbers of label, draw and what the plan draws.
 
     Draw i of a stratum is point i of one space-filling sequence over clearances, contact law and all that is
     uncertain: one machine, the same in order and with any joints worn, at every speed and load, but for what is of the
@@ -157,7 +165,7 @@ def entries_of(plan: Plan, machine: Machine) -> tuple[Entry, ...]:
     strata: tuple[Stratum, ...] = ("trusted", "wide") if plan.wide.draws else ("trusted",)
     for stratum in strata:
         check_drawable(machine, frozenset(plan.spread(machine, stratum)))
-    drawing = _Drawing(plan, machine, plan.recipe(machine))
+    drawing = _Drawing(plan, machine, plan.recipe(machine), change or (lambda label, draw, numbers: numbers))
     return tuple(entry for sequence in sequences_of(plan, machine) for entry in drawing.entries(sequence))
 
 
@@ -182,6 +190,7 @@ class _Drawing:
     plan: Plan
     machine: Machine
     recipe: Recipe
+    change: Callable[[str, int, Numbers], Numbers]
     scatters: dict[tuple[Variant, tuple[str, ...]], Scatter] = field(default_factory=dict)
 
     def entries(self, sequence: Sequence) -> Iterator[Entry]:
@@ -223,7 +232,7 @@ class _Drawing:
                 hypothesis=hypothesis,
                 joints=joints,
                 clearances=tuple(sizes[joint] for joint in joints),
-                parameters=_without(ideal, parameters),
+                parameters=self.change(hypothesis.label, draw, _without(ideal, parameters)),
                 draw=draw,
                 stratum=stratum,
                 speed=sequence.speed,

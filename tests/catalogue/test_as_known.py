@@ -15,6 +15,7 @@ import pytest
 from loaded import LOADS, asked, prepared_of
 
 from jointplay.catalogue.diagnosing import as_found, as_known, kept_cases
+from jointplay.catalogue.diagnosing.as_found import networks_of
 from jointplay.catalogue.diagnosing.as_known import refine_known
 from jointplay.catalogue.diagnosing.drawn_mounts import find_loose, loosen, warm
 from jointplay.catalogue.diagnosing.found_cases import ToldNumbers, draw_cases, simulate_cases
@@ -40,6 +41,12 @@ def own_catalogue(small_catalogue: Catalogue, tmp_path: Path) -> Catalogue:
     """One whose folder no other test has written to."""
     shutil.copytree(small_catalogue.layout.root, tmp_path / "own", ignore=shutil.ignore_patterns("machines"))
     return Catalogue.open(tmp_path / "own")
+
+
+@pytest.fixture(autouse=True)
+def few_cases(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As many as a network needs to be trained at all."""
+    monkeypatch.setattr(as_known, "LEAST_CASES", 192)
 
 
 @pytest.fixture(scope="module")
@@ -130,6 +137,20 @@ def test_where_nothing_can_change_nothing_is_asked(own_catalogue: Catalogue, loa
     faster = replace(observed, speed=1.1 * observed.speed)
     assert refine_known(faster, own_catalogue, vague, ["A", "B"], asleep, is_otherwise=True, cases=1) is None
     assert not own_catalogue.layout.machines.exists()
+
+
+def test_many_cases_teach_a_network_by_more_recordings(
+    small_catalogue: Catalogue, loaded: PreparedMeasurement, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Five of each; few cases by as many as before."""
+    trained = []
+    monkeypatch.setattr(NetworkShelf, "applies", lambda *_: True)
+    monkeypatch.setattr(NetworkShelf, "train", lambda shelf, *_: trained.append(shelf._training.rows))
+    observed, _ = asked(small_catalogue, loaded)
+    entries = draw_cases(small_catalogue, small_catalogue.recipe.nominal_drive_speed, [("A",)], None, 1)[1]
+    for count in (2304, 8640):
+        networks_of(FoundSpectra(small_catalogue.matrix, tuple(entries * count), np.empty((0, 1, 33))), observed)
+    assert trained == [20_000, 43_200]
 
 
 def test_sets_are_drawn_each_by_itself(small_catalogue: Catalogue) -> None:
