@@ -8,12 +8,10 @@ come loose, so that the next recording finds them again.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from functools import partial, reduce
+from functools import reduce
 from operator import add
 
-from jointplay.catalogue.building.executors import count_processors
 from jointplay.catalogue.diagnosing.as_found import (
     Refined,
     answer_by,
@@ -29,7 +27,7 @@ from jointplay.catalogue.diagnosing.known_machine import KnownMachine
 from jointplay.catalogue.diagnosing.loose_mounts import name_loose_mount
 from jointplay.catalogue.diagnosing.told_numbers import CASES
 from jointplay.catalogue.matching.matcher import MatchResult
-from jointplay.catalogue.matching.model_library import Observed, one_thread
+from jointplay.catalogue.matching.model_library import Observed
 from jointplay.catalogue.matching.modes import ModeAsked
 from jointplay.catalogue.matching.prior import Prior
 from jointplay.catalogue.plans.plan_parts import SPEED
@@ -96,8 +94,7 @@ def refine_known(
     count = max(LEAST_CASES, cases // len(sets))
     machine, drawn = draw_cases(catalogue, speed, sets, load, count, doubted=True, told=numbers, to_come=True)
     by_set = [[entry for entry in drawn if entry.worn == joints] for joints in sets]
-    with one_thread(), ThreadPoolExecutor(count_processors()) as threads:  # compiled code lets go of the interpreter
-        simulated = list(threads.map(partial(simulate_once, catalogue, machine), by_set))
+    simulated = [simulate_once(catalogue, machine, each) for each in by_set]
     if any(len(each.entries) < LEAST_CASES // 2 for each in simulated):
         return Refined(result, len(drawn), 1, "some hypotheses could not be simulated, so that nothing changes")
     every = reduce(add, simulated)

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from jointplay.catalogue.building.chunk import cut_chunks, simulate_chunk
+from jointplay.catalogue.building.executors import count_processors
 from jointplay.catalogue.diagnosing.drawn_mounts import loosen, warm
 from jointplay.catalogue.diagnosing.found_spectra import FoundSpectra
 from jointplay.catalogue.diagnosing.stroke_loads import FoundLoad
+from jointplay.catalogue.matching.model_library import one_thread
 from jointplay.catalogue.plans.cases import Numbers, entries_of
 from jointplay.catalogue.plans.driving import DRIVE_SPEED
 from jointplay.catalogue.plans.entry import Entry, Recipe, seed_from
@@ -25,6 +28,9 @@ from jointplay.solver.machines.machine import Machine, has_known_effort
 
 DOUBT = 2.0
 """How many times as far as in other files the frame and its mounts are off in the file of a machine that is doubted."""
+
+CHUNK = 96
+"""Cases of a set that are simulated together, in one thread."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,14 +182,16 @@ def changed(
 
 
 def simulate_cases(catalogue: Catalogue, machine: Machine, cases: Sequence[Entry]) -> FoundSpectra:
-    """Simulate cases, and leave out those that could not be."""
+    """Simulate cases, on all processors, and return them in their order, without those that could not be."""
     cuts = catalogue.matrix.cuts
-    entries: list[Entry] = []
-    spectra: list[FloatArray] = []
-    for chunk in cut_chunks(machine, catalogue.recipe, cases, max(1, len(cases))):
-        for entry, outcome in zip(chunk.entries, simulate_chunk(chunk), strict=True):
-            if outcome.power is not None and outcome.cyclic is not None:
-                joined = np.add.reduceat(pack(outcome.power)[: cuts[-1]], cuts[:-1], axis=0)
-                entries.append(entry)
-                spectra.append(np.concatenate([joined, pack_cyclic(outcome.cyclic)[: len(joined)]], axis=1))
-    return FoundSpectra(catalogue.matrix, tuple(entries), np.array(spectra))
+    chunks = cut_chunks(machine, catalogue.recipe, cases, CHUNK)
+    simulated: dict[str, FloatArray] = {}
+    # Compiled code lets other threads run.
+    with one_thread(), ThreadPoolExecutor(count_processors()) as threads:
+        for chunk, outcomes in zip(chunks, threads.map(simulate_chunk, chunks), strict=True):
+            for entry, outcome in zip(chunk.entries, outcomes, strict=True):
+                if outcome.power is not None and outcome.cyclic is not None:
+                    joined = np.add.reduceat(pack(outcome.power)[: cuts[-1]], cuts[:-1], axis=0)
+                    simulated[entry.key] = np.concatenate([joined, pack_cyclic(outcome.cyclic)[: len(joined)]], axis=1)
+    entries = tuple(entry for entry in cases if entry.key in simulated)
+    return FoundSpectra(catalogue.matrix, entries, np.array([simulated[entry.key] for entry in entries]))

@@ -19,8 +19,9 @@ from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.arrays import FloatArray, IntArray
 from jointplay.solver.machines.machine import Machine
 
-KEPT = 512
-"""Files of single machines that a catalogue keeps, those used last: some 1 MB for each set of joints of a machine."""
+KEPT = 2048
+"""Files of single machines that a catalogue keeps, those used last: some 3 MB for each set of joints of a machine at a
+speed, so that a hundred machines of four joints have theirs."""
 
 
 def simulate_once(catalogue: Catalogue, machine: Machine, cases: Sequence[Entry]) -> FoundSpectra:

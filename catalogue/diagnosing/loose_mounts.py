@@ -21,7 +21,7 @@ LOOSE_BELOW = 1.0 / SMALL_STIFFNESS
 """Factor on stiffness: what is above is a small change, here as in the search for causes."""
 
 FIRST = 192
-"""Cases of a set that are asked, the first, which lie over everything as all do: the time grows with their cube."""
+"""Cases of a set that are asked, the first draws, which fill its range evenly: the time grows with their cube."""
 
 
 def name_loose_mount(

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from loaded import LOADS, asked, prepared_of
 
-from jointplay.catalogue.diagnosing import as_found, as_known, kept_cases
+from jointplay.catalogue.diagnosing import as_found, as_known, found_cases, kept_cases
 from jointplay.catalogue.diagnosing.as_found import networks_of
 from jointplay.catalogue.diagnosing.as_known import refine_known
 from jointplay.catalogue.diagnosing.drawn_mounts import find_loose, loosen, warm
@@ -161,6 +161,21 @@ def test_sets_are_drawn_each_by_itself(small_catalogue: Catalogue) -> None:
         _, drawn = draw_cases(small_catalogue, speed, sets, None, 50, doubted=True, told=TOLD, to_come=True)
         keys.append([entry.key for entry in drawn if entry.worn == ("A",)])
     assert keys[0] == keys[1] == keys[2] and len(set(keys[0])) == 50
+
+
+def test_cases_come_in_their_order_whoever_simulates(
+    small_catalogue: Catalogue, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In chunks on several processors, to the last bit."""
+    speed = small_catalogue.recipe.nominal_drive_speed
+    machine, drawn = draw_cases(small_catalogue, speed, [("A",), ("B",)], None, 20, doubted=True)
+    alone = simulate_cases(small_catalogue, machine, drawn[::-1])
+    monkeypatch.setattr(found_cases, "CHUNK", 8)
+    monkeypatch.setattr(found_cases, "count_processors", lambda: 3)
+    shared = simulate_cases(small_catalogue, machine, drawn[::-1])
+    assert [entry.key for entry in shared.entries] == [entry.key for entry in drawn[::-1]]
+    assert alone.entries == shared.entries
+    np.testing.assert_array_equal(alone.spectra, shared.spectra)
 
 
 def test_days_to_come_have_warm_mounts_and_loose_ones(small_catalogue: Catalogue) -> None:
