@@ -18,7 +18,7 @@ from jointplay.catalogue.diagnosing import as_found, as_known, found_cases, kept
 from jointplay.catalogue.diagnosing.as_found import networks_of
 from jointplay.catalogue.diagnosing.as_known import refine_known
 from jointplay.catalogue.diagnosing.drawn_mounts import find_loose, loosen, warm
-from jointplay.catalogue.diagnosing.found_cases import ToldNumbers, draw_cases, simulate_cases
+from jointplay.catalogue.diagnosing.found_cases import ToldNumbers, changed, draw_cases, simulate_cases
 from jointplay.catalogue.diagnosing.found_spectra import FoundSpectra
 from jointplay.catalogue.diagnosing.kept_cases import simulate_once
 from jointplay.catalogue.diagnosing.known_machine import KnownMachine
@@ -158,8 +158,10 @@ def test_sets_are_drawn_each_by_itself(small_catalogue: Catalogue) -> None:
     speed = small_catalogue.recipe.nominal_drive_speed
     keys = []
     for sets in ([(), ("A",), ("A", "B")], [("A",), ("O",)], [("A",)]):
-        _, drawn = draw_cases(small_catalogue, speed, sets, None, 50, doubted=True, told=TOLD, to_come=True)
+        machine, drawn = draw_cases(small_catalogue, speed, sets, None, 50, doubted=True, told=TOLD, to_come=True)
         keys.append([entry.key for entry in drawn if entry.worn == ("A",)])
+    changed_to = changed(drawn[0], machine, small_catalogue.recipe, drawn[0].clearances, drawn[0].parameters)
+    assert changed_to.key == drawn[0].key  # as the catalogue's own are simulated
     assert keys[0] == keys[1] == keys[2] and len(set(keys[0])) == 50
 
 
