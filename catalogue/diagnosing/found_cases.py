@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -14,6 +12,7 @@ from jointplay.catalogue.building.executors import count_processors
 from jointplay.catalogue.diagnosing.drawn_mounts import loosen, warm
 from jointplay.catalogue.diagnosing.found_spectra import FoundSpectra
 from jointplay.catalogue.diagnosing.stroke_loads import FoundLoad
+from jointplay.catalogue.diagnosing.told import ToldNumbers
 from jointplay.catalogue.matching.model_library import one_thread
 from jointplay.catalogue.plans.cases import Numbers, entries_of
 from jointplay.catalogue.plans.driving import DRIVE_SPEED
@@ -21,56 +20,25 @@ from jointplay.catalogue.plans.entry import Entry, Recipe, seed_from
 from jointplay.catalogue.plans.parameters import ripple_order
 from jointplay.catalogue.plans.plan import Plan
 from jointplay.catalogue.plans.plan_parts import Distribution, DrawCounts, default_wide
+from jointplay.catalogue.plans.variants import LawChoice
 from jointplay.catalogue.storage.cross_power import pack, pack_cyclic
 from jointplay.catalogue.storage.store import Catalogue
-from jointplay.solver.arrays import BoolArray, FloatArray
+from jointplay.solver.arrays import FloatArray
 from jointplay.solver.machines.machine import Machine, has_known_effort
 
 DOUBT = 2.0
 """How many times as far as in other files the frame and its mounts are off in the file of a machine that is doubted."""
 
+CONTACT_DOUBT = 1.5
+"""The same of stiffness and damping of all contacts together."""
+
+ALIKE = 0.8
+"""Correlation of the contacts of joints of such a machine, which are made of one material and have one oil: those that
+joints have by themselves leave a quarter in stiffness."""
+
 CHUNK = 96
 """Cases of a set that are simulated together, in one thread: so a set of 576 keeps six processors busy. Chunks of 384
 take 7 % less time on two."""
-
-
-@dataclass(frozen=True, eq=False)
-class ToldNumbers:
-    """Numbers of a machine as recordings of it have told them, by a normal law.
-
-    Parameters
-    ----------
-    paths : tuple of str
-    mean : ndarray, shape (p,)
-        SI, or of the logarithm.
-    covariance : ndarray, shape (p, p)
-    logarithmic : ndarray of bool, shape (p,)
-        Of which numbers.
-    """
-
-    paths: tuple[str, ...]
-    mean: FloatArray
-    covariance: FloatArray
-    logarithmic: BoolArray
-
-    @property
-    def error(self) -> FloatArray:
-        """Standard deviations, (p,)."""
-        return np.sqrt(np.diag(self.covariance))
-
-    @cached_property
-    def _root(self) -> FloatArray:
-        """Of the correlation; what is wholly alike, or certain, makes it singular."""
-        scale = np.where(self.error > 0.0, self.error, 1.0)
-        alike = self.covariance / np.outer(scale, scale)
-        return np.asarray(np.linalg.cholesky(alike + 1e-9 * np.eye(len(alike))))
-
-    def draw(self, number: int) -> dict[str, float]:
-        """Return numbers by path, SI, of the machine of a draw."""
-        normal = np.random.default_rng(seed_from("numbers as told", number)).normal(size=len(self.paths))
-        drawn = self.mean + self.error * (self._root @ normal)
-        drawn[self.logarithmic] = np.exp(drawn[self.logarithmic])
-        return dict(zip(self.paths, drawn.tolist(), strict=True))
 
 
 def draw_cases(
@@ -98,7 +66,8 @@ def draw_cases(
     count : int
         Cases of each set.
     doubted : bool
-        Whether frame and mounts may be off further than in a catalogue's trusted draws, and the drive ripples.
+        Whether frame, mounts and contacts may be off further than in a catalogue's trusted draws, the contacts of all
+        joints together, and the drive ripples.
     told : ToldNumbers, optional
         In place of what is drawn of these numbers.
     to_come : bool
@@ -124,14 +93,17 @@ def draw_cases(
             "speeds": (speed / catalogue.recipe.nominal_drive_speed if to_come else 1.0,),
             "loads": None,
             "guard": 0,
+            "laws": told.contacts.laws if told and told.contacts else plan.laws,
         }
     )
     # What a motor turns at follows from its numbers, which are drawn.
     turned = {} if to_come or has_known_effort(machine) else {DRIVE_SPEED: speed}
     as_told = [told.draw(number) if told else {} for number in range(count)]
 
-    def change(label: str, number: int, drawn: Numbers) -> Numbers:
+    def change(label: str, number: int, law: LawChoice, drawn: Numbers) -> Numbers:
         parameters = {**drawn, **turned, **as_told[number]}
+        if told and told.contacts:
+            parameters |= told.contacts.draw(law, number, drawn)
         if to_come:
             parameters |= warm(machine, parameters, label, number)
             parameters |= loosen(machine, parameters, label, number)
@@ -140,7 +112,7 @@ def draw_cases(
             parameters |= dict(zip(load.paths, load.draw(generator.normal(size=2)).tolist(), strict=True))
         return parameters
 
-    return machine, list(entries_of(plan, machine, change))
+    return machine, list(entries_of(plan, machine, change, alike=ALIKE if doubted else 0.0))
 
 
 def on_a_day(entry: Entry, machine: Machine, recipe: Recipe) -> Entry:
@@ -157,6 +129,11 @@ def _doubtful(plan: Plan, machine: Machine) -> dict[str, Distribution]:
         path: drawn.model_copy(update={"lognormal": DOUBT * drawn.lognormal})
         for path, drawn in plan.uncertain.items()
         if path.startswith(own) and drawn.lognormal and not (path.startswith("modes.") and path.endswith("damping"))
+    }
+    wider |= {
+        path: drawn.model_copy(update={"lognormal": CONTACT_DOUBT * drawn.lognormal})
+        for path, drawn in plan.uncertain.items()
+        if path.startswith("contact.") and drawn.lognormal
     }
     asked, usual = (
         {path: drawn for path, drawn in spread.items() if ripple_order(path) is not None}

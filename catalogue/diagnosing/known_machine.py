@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 
 from jointplay.catalogue.diagnosing.answer_of_baseline import BaselineRecording, BaselineShown
 from jointplay.catalogue.diagnosing.baseline import Baseline, fit_baseline
-from jointplay.catalogue.diagnosing.found_cases import ToldNumbers
 from jointplay.catalogue.diagnosing.question import MOST_TOGETHER
 from jointplay.catalogue.diagnosing.stroke_loads import FoundLoad
+from jointplay.catalogue.diagnosing.told import ToldNumbers
 from jointplay.catalogue.diagnosing.told_numbers import tell_numbers
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.measurements.measurement import Recording

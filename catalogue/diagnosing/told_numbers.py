@@ -8,19 +8,23 @@ how fits rattle, which simulations know.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from jointplay.catalogue.diagnosing.comparison import common_sensing, features_of, view_of, watched_levels
-from jointplay.catalogue.diagnosing.found_cases import ToldNumbers, draw_cases, on_a_day
+from jointplay.catalogue.diagnosing.found_cases import draw_cases, on_a_day
+from jointplay.catalogue.diagnosing.found_spectra import FoundSpectra
 from jointplay.catalogue.diagnosing.kept_cases import simulate_once
 from jointplay.catalogue.diagnosing.stroke_loads import COMMON, DIFFERENCE, FoundLoad, find_load
+from jointplay.catalogue.diagnosing.told import ToldContacts, ToldNumbers, geometric_mean, of_joints
 from jointplay.catalogue.matching.learning import Learning, training_set
 from jointplay.catalogue.matching.model_library import one_thread
 from jointplay.catalogue.matching.observation import Sensing
 from jointplay.catalogue.plans.entry import HEALTHY
+from jointplay.catalogue.plans.parameters import SHARED
+from jointplay.catalogue.plans.variants import LawChoice
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.arrays import FloatArray
@@ -36,6 +40,12 @@ COMPONENTS = 60
 
 FARTHEST = 4.0
 """A feature further from the mean of the cases, in standard deviations, counts as so far."""
+
+LEAST_LAW = 0.1
+"""Probability of a contact law, at least: real contacts obey none."""
+
+LEAST_OF_LAW = 48
+"""Cases of a contact law, at least: fewer tell nothing."""
 
 WIDTHS = (1.0, 2.0, 3.0, 5.0, 8.0, 16.0)
 """Of the kernel, in standard deviations of the first component."""
@@ -87,12 +97,43 @@ def tell_numbers(
         (draws,) = training_set(cases, sensing, watched_levels(first), Learning(rows=1), rows=rows).hypotheses
         both = np.hstack([sizes @ parts.T if load else sizes, numbers])
         mean, error, left = regress(draws.features, both, shown)
+        contacts = _tell_contacts(cases, draws.features, shown, catalogue.plan.law_weights(machine))
     if load:
         back = np.linalg.inv(parts)
         load = replace(load, mean=back @ mean[:2], covariance=back @ np.diag(error[:2] ** 2) @ back.T, wider=1.0)
     first_own = len(of_load)
     covariance = covariance_of(left[:, first_own:], error[first_own:])
-    return load, ToldNumbers(paths, mean[first_own:], covariance, logarithmic)
+    return load, ToldNumbers(paths, mean[first_own:], covariance, logarithmic, contacts)
+
+
+def _tell_contacts(
+    cases: FoundSpectra, features: FloatArray, shown: FloatArray, laws: Collection[LawChoice]
+) -> ToldContacts | None:
+    """What features (d,) tell of which contact law a machine has, and of its contacts by each, by cases (n, d).
+
+    What is expected of whether it has a law is how probable that is. None where contacts are not drawn, or cases of a
+    law could not be simulated.
+    """
+    drawn = np.array([entry.variant.law for entry in cases.entries])
+    if min(np.count_nonzero(drawn == law) for law in laws) < LEAST_OF_LAW:
+        return None
+    expected, _, _ = regress(features, np.column_stack([drawn == law for law in laws]).astype(float), shown)
+    shares = np.clip(expected, LEAST_LAW, 1.0)
+    numbers = {}
+    for law in laws:
+        own = [entry.parameters for entry in cases.entries if entry.variant.law == law]
+        paths = tuple(path for path in SHARED if path.startswith("contact.") and _is_drawn(own, path))
+        if not paths:
+            return None
+        means = np.log([[geometric_mean(of_joints(each, path)) for path in paths] for each in own])
+        mean, error, left = regress(features[drawn == law], means, shown)
+        numbers[law] = ToldNumbers(paths, mean, covariance_of(left, error), np.full(len(paths), True))
+    return ToldContacts(dict(zip(laws, (shares / shares.sum()).tolist(), strict=True)), numbers)
+
+
+def _is_drawn(parameters: Sequence[Mapping[str, float]], path: str) -> bool:
+    """Whether all joints of all cases have a number > 0 that a short path stands for."""
+    return all(min(of_joints(each, path).values(), default=0.0) > 0.0 for each in parameters)
 
 
 def _shown(in_order: Sequence[PreparedMeasurement]) -> tuple[Sensing, FloatArray]:

@@ -9,6 +9,7 @@ from itertools import accumulate, combinations, product
 from typing import TypeAlias
 
 import numpy as np
+from scipy.special import ndtr, ndtri
 
 from jointplay.catalogue.errors import PlanError
 from jointplay.catalogue.plans.day_load import DAY_LOAD
@@ -137,12 +138,15 @@ def sequences_of(plan: Plan, machine: Machine) -> Iterator[Sequence]:
                     yield from (Sequence(hypothesis, stratum, *day, number, is_again) for day in days)
 
 
-def entries_of(
-    plan: Plan, machine: Machine, change: Callable[[str, int, Numbers], Numbers] | None = None
-) -> tuple[Entry, ...]:
+Change: TypeAlias = Callable[[str, int, LawChoice, Numbers], Numbers]
+"""Makes the numbers of a case of its label, draw, contact law and what the plan draws."""
+
+
+def entries_of(plan: Plan, machine: Machine, change: Change | None = None, *, alike: float = 0.0) -> tuple[Entry, ...]:
     """Every case of a plan for a machine: by hypothesis, stratum, speed, load, then by draw.
 
-    A change, where there is one, makes its numbers of label, draw and what the plan draws.
+    Its numbers may be changed. Contacts of a machine's joints are as much alike, by the correlation of their normal
+    scores, each still as likely as the plan says.
 
     Draw i of a stratum is point i of one space-filling sequence over clearances, contact law and all that is
     uncertain: one machine, the same in order and with any joints worn, at every speed and load, but for what is of the
@@ -165,8 +169,13 @@ def entries_of(
     strata: tuple[Stratum, ...] = ("trusted", "wide") if plan.wide.draws else ("trusted",)
     for stratum in strata:
         check_drawable(machine, frozenset(plan.spread(machine, stratum)))
-    drawing = _Drawing(plan, machine, plan.recipe(machine), change or (lambda label, draw, numbers: numbers))
+    drawing = _Drawing(plan, machine, plan.recipe(machine), change or _leave, alike)
     return tuple(entry for sequence in sequences_of(plan, machine) for entry in drawing.entries(sequence))
+
+
+def _leave(label: str, draw: int, law: LawChoice, numbers: Numbers) -> Numbers:
+    del label, draw, law
+    return numbers
 
 
 def _check_loads(plan: Plan, machine: Machine) -> None:
@@ -190,7 +199,8 @@ class _Drawing:
     plan: Plan
     machine: Machine
     recipe: Recipe
-    change: Callable[[str, int, Numbers], Numbers]
+    change: Change
+    alike: float
     scatters: dict[tuple[Variant, tuple[str, ...]], Scatter] = field(default_factory=dict)
 
     def entries(self, sequence: Sequence) -> Iterator[Entry]:
@@ -206,6 +216,8 @@ class _Drawing:
         # By chance alone: the same coordinates of two sequences are not independent.
         today = np.random.default_rng(self._seed_of_the_day(sequence)).random((sequence.count, columns + 1))
         _change_the_day(points[:, fixed:], today[:, fixed:], spread, len(able))
+        if self.alike:
+            self._make_alike(points[:, fixed:], spread, len(able), stratum, draws)
         ranges = {joint: self._range(joint, len(hypothesis.joints)) for joint in hypothesis.joints}
         variants = {law: self._variant(spread, law, is_loaded=sequence.load != 0.0) for law in laws}
         scatters = {law: self._scatter(variant, spread, laws) for law, variant in variants.items()}
@@ -232,7 +244,7 @@ class _Drawing:
                 hypothesis=hypothesis,
                 joints=joints,
                 clearances=tuple(sizes[joint] for joint in joints),
-                parameters=self.change(hypothesis.label, draw, _without(ideal, parameters)),
+                parameters=self.change(hypothesis.label, draw, law, _without(ideal, parameters)),
                 draw=draw,
                 stratum=stratum,
                 speed=sequence.speed,
@@ -255,6 +267,18 @@ class _Drawing:
         points[0::2] = unit_draws(seed_from(seed, sequence.stratum), columns, (count + 1) // 2)
         points[1::2] = unit_draws(seed_from(seed, sequence.hypothesis.label, "wide"), columns, count // 2)
         return range(count), points
+
+    def _make_alike(
+        self, points: FloatArray, spread: Mapping[str, Distribution], joints: int, stratum: Stratum, draws: range
+    ) -> None:
+        """Give the joints of the machine of each draw, in points (n, columns) of what is uncertain, like contacts."""
+        first = 0
+        for path in sorted(spread):
+            chosen = slice(first, first := first + (joints if path in SHARED else 1))
+            if path in SHARED and path.startswith("contact."):
+                common = unit_draws(seed_from(self.plan.seed, stratum, "alike", path), 1, draws.stop)[draws]
+                own = math.sqrt(1.0 - self.alike) * _score(points[:, chosen])
+                points[:, chosen] = ndtr(math.sqrt(self.alike) * _score(common) + own)
 
     def _seed_of_the_day(self, sequence: Sequence) -> int:
         day = (float(sequence.speed), sequence.load, sequence.again)
@@ -289,6 +313,11 @@ class _Drawing:
             left_out = [path for path in missing if any(_has(other, path) for other in others)]
             self.scatters[key] = Scatter(numbers, spread, left_out)
         return self.scatters[key]
+
+
+def _score(points: FloatArray) -> FloatArray:
+    """Normal scores of coordinates."""
+    return np.asarray(ndtri(np.clip(points, 1e-9, 1.0 - 1e-9)))
 
 
 def _change_the_day(points: FloatArray, today: FloatArray, spread: Mapping[str, Distribution], joints: int) -> None:

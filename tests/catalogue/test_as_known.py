@@ -18,11 +18,12 @@ from jointplay.catalogue.diagnosing import as_found, as_known, found_cases, kept
 from jointplay.catalogue.diagnosing.as_found import networks_of
 from jointplay.catalogue.diagnosing.as_known import refine_known
 from jointplay.catalogue.diagnosing.drawn_mounts import find_loose, loosen, warm
-from jointplay.catalogue.diagnosing.found_cases import ToldNumbers, changed, draw_cases, simulate_cases
+from jointplay.catalogue.diagnosing.found_cases import changed, draw_cases, simulate_cases
 from jointplay.catalogue.diagnosing.found_spectra import FoundSpectra
 from jointplay.catalogue.diagnosing.kept_cases import simulate_once
 from jointplay.catalogue.diagnosing.known_machine import KnownMachine
 from jointplay.catalogue.diagnosing.stroke_loads import FoundLoad, find_load
+from jointplay.catalogue.diagnosing.told import ToldNumbers
 from jointplay.catalogue.matching.matcher import MatchResult
 from jointplay.catalogue.matching.model_library import Observed
 from jointplay.catalogue.matching.network_shelf import NetworkShelf

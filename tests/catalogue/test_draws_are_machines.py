@@ -108,3 +108,29 @@ def test_a_draw_is_one_machine_under_every_load() -> None:
     assert -60.0 <= min(force["trusted"]) < -58.0 and -42.0 < max(force["trusted"]) <= -40.0
     under = np.array(force["wide"])
     assert np.sum(np.abs(under) <= 1.0) == np.sum((under >= -61.0) & (under <= -39.0)) == len(under) / 2
+
+
+def test_joints_of_one_machine_may_be_alike() -> None:
+    """In contacts, whatever is worn; each is as likely as before, and all else is as it was."""
+    uncertain = {
+        "contact.friction": {"uniform": [0.01, 0.15]},
+        "contact.stiffness": {"lognormal": 0.4},
+        "pin_radius": {"factor_uniform": [0.9, 1.1]},
+    }
+    plan = plan_of(uncertain=uncertain, draws=draws(single=512), hypotheses=["singles"], wide={"draws": 0})
+    usual, alike = (entries_of(plan, QUICK_RETURN, alike=each) for each in (0.0, 0.8))
+    assert usual == entries_of(plan, QUICK_RETURN)
+    for path, correlated in (("contact.stiffness", True), ("contact.friction", True), ("pin_radius", False)):
+        before, after = (
+            np.array([[each.parameters[f"joints.{joint}.{path}"] for joint in "ACEFO"] for each in some[:512]])
+            for some in (usual, alike)
+        )
+        found = np.corrcoef(np.log(after).T if path.endswith("stiffness") else after.T)[np.triu_indices(5, 1)]
+        if not correlated:
+            np.testing.assert_array_equal(after, before)
+            continue
+        assert found == pytest.approx(0.8, abs=0.05)  # of ranks 0.79
+        np.testing.assert_allclose(np.sort(after, axis=0)[50:-50], np.sort(before, axis=0)[50:-50], rtol=0.2)
+        assert after.min() >= before.min() * 0.9 and after.max() <= 1.6 * before.max()
+    for one, other in zip(alike[:512], alike[512:1024], strict=True):
+        assert one.parameters == other.parameters

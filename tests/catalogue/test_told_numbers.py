@@ -14,19 +14,21 @@ from jointplay.catalogue.diagnosing import hearing, hearing_anew, known_machine,
 from jointplay.catalogue.diagnosing.as_found import Refined
 from jointplay.catalogue.diagnosing.causes import NamedCause
 from jointplay.catalogue.diagnosing.diagnosis import answer
-from jointplay.catalogue.diagnosing.found_cases import DOUBT, ToldNumbers, draw_cases
+from jointplay.catalogue.diagnosing.found_cases import ALIKE, CONTACT_DOUBT, DOUBT, draw_cases
 from jointplay.catalogue.diagnosing.found_spectra import FoundSpectra
 from jointplay.catalogue.diagnosing.kept_cases import simulate_once
 from jointplay.catalogue.diagnosing.known_machine import KnownMachine
 from jointplay.catalogue.diagnosing.past import PastComparison
 from jointplay.catalogue.diagnosing.question import Question
 from jointplay.catalogue.diagnosing.stroke_loads import COMMON, DIFFERENCE, StrokeLoads, find_load
+from jointplay.catalogue.diagnosing.told import ToldContacts, ToldNumbers, geometric_mean, of_joints
 from jointplay.catalogue.diagnosing.told_numbers import covariance_of, regress, tell_numbers
 from jointplay.catalogue.evaluation.protocols import PROTOCOLS, draw_truth
 from jointplay.catalogue.evaluation.recordings import Recordings, recorded
 from jointplay.catalogue.matching.matcher import MatchResult, rank
 from jointplay.catalogue.matching.model_library import Observed, library_of
 from jointplay.catalogue.plans.entry import HEALTHY, Entry, Hypothesis
+from jointplay.catalogue.plans.plan_parts import STIFFNESS_SCATTER
 from jointplay.catalogue.signals.features import prepare
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.signals.sensor_flaws import SensorContradiction
@@ -100,6 +102,13 @@ def test_a_machine_in_order_tells_what_its_file_has_not(
     other = numbers.paths.index(MOUNT.removesuffix("1") + "0")
     both = numbers.covariance[np.ix_([place, other], [place, other])]
     assert both[0, 1] == pytest.approx(both[0, 0]) == pytest.approx(both[1, 1])  # one number of a draw
+    assert numbers.contacts is not None
+    assert sum(numbers.contacts.laws.values()) == pytest.approx(1.0)
+    contacts = numbers.contacts.numbers["own"]
+    place = contacts.paths.index("contact.stiffness")
+    assert contacts.error[place] < 0.5 * CONTACT_DOUBT * STIFFNESS_SCATTER
+    stiffness = [small_catalogue.machine.joints[joint].contact.stiffness for joint in small_catalogue.matrix.joints]
+    assert abs(contacts.mean[place] - np.log(stiffness).mean()) < 3.0 * contacts.error[place]
     mean, error = own[MOUNT]
     assert error < 0.08  # of 0.1 before
     assert abs(mean - math.log(1.15 * small_catalogue.machine.supports[0].stiffness[1])) < 3.0 * error
@@ -201,6 +210,39 @@ def test_what_is_told_is_the_same_in_every_set(small_catalogue: Catalogue) -> No
     scatter = [np.log([entry.parameters[MOUNT] for entry in cases]).std() for cases in (plain, by_set["A"])]
     assert scatter[1] == pytest.approx(DOUBT * scatter[0], rel=0.1)  # of other draws: there are more numbers
     assert not any("ripple" in path for entry in plain for path in entry.parameters)
+
+
+def test_contacts_are_told_of_all_joints_together(small_catalogue: Catalogue) -> None:
+    """Their geometric mean is what was told; joints differ as they were drawn to, and laws come as often as told."""
+    speed = small_catalogue.recipe.nominal_drive_speed
+    law, path = "own", "contact.stiffness"
+    of_all = ToldNumbers((path,), np.array([math.log(3e7)]), np.array([[0.1**2]]), np.array([True]))
+    told = ToldNumbers(
+        (),
+        np.empty(0),
+        np.empty((0, 0)),
+        np.empty(0, bool),
+        ToldContacts({law: 0.75, "hertz": 0.25}, {law: of_all, "hertz": of_all}),
+    )
+    usual, drawn = (
+        draw_cases(small_catalogue, speed, [("A",)], None, 128, doubted=True, told=each)[1] for each in (None, told)
+    )
+    for some, share in ((usual, 0.5), (drawn, 0.75)):
+        assert np.mean([entry.variant.law == law for entry in some]) == pytest.approx(share, abs=0.05)
+    mean = np.log([geometric_mean(of_joints(entry.parameters, path)) for entry in drawn])
+    assert mean == pytest.approx(math.log(3e7), abs=0.4)
+    assert 0.07 < mean.std() < 0.13
+    for number, one in enumerate(drawn):
+        own = of_joints(one.parameters, path)
+        assert geometric_mean(own) == pytest.approx(of_all.draw(number)[path])
+        if usual[number].variant.law == law:  # where it is the likelier one, it still is
+            before = of_joints(usual[number].parameters, path)
+            ratios = [own[name] / before[name] for name in own]
+            assert ratios == pytest.approx([ratios[0]] * len(ratios))
+            assert one.parameters["joints.A.contact.damping"] == usual[number].parameters["joints.A.contact.damping"]
+    scatter = np.log([[*of_joints(entry.parameters, path).values()] for entry in usual if entry.variant.law == law])
+    assert scatter.std(axis=0) == pytest.approx(CONTACT_DOUBT * STIFFNESS_SCATTER, rel=0.15)
+    assert np.corrcoef(scatter.T)[0, 1] == pytest.approx(ALIKE, abs=0.1)
 
 
 def test_what_is_told_of_a_machine_is_told_once(
