@@ -47,9 +47,9 @@ class ToldNumbers:
         alike = self.covariance / np.outer(scale, scale)
         return np.asarray(np.linalg.cholesky(alike + 1e-9 * np.eye(len(alike))))
 
-    def draw(self, number: int) -> dict[str, float]:
-        """Return numbers by path, SI, of the machine of a draw."""
-        normal = np.random.default_rng(seed_from("numbers as told", number)).normal(size=len(self.paths))
+    def draw(self, number: int, of: str = "numbers") -> dict[str, float]:
+        """Return numbers by path, SI, of the machine of a draw; those of one thing do not go with those of another."""
+        normal = np.random.default_rng(seed_from(f"{of} as told", number)).normal(size=len(self.paths))
         drawn = self.mean + self.error * (self._root @ normal)
         drawn[self.logarithmic] = np.exp(drawn[self.logarithmic])
         return dict(zip(self.paths, drawn.tolist(), strict=True))
@@ -73,7 +73,7 @@ class ToldContacts:
     def draw(self, law: LawChoice, number: int, drawn: Mapping[str, float]) -> dict[str, float]:
         """Return numbers of the contacts of the machine of a draw, by path, SI: joints differ as they were drawn to."""
         found: dict[str, float] = {}
-        for path, mean in self.numbers[law].draw(number).items():
+        for path, mean in self.numbers[law].draw(number, "contacts").items():
             own = of_joints(drawn, path)
             factor = mean / geometric_mean(own)
             found |= {name: factor * value for name, value in own.items()}

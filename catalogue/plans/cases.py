@@ -272,9 +272,7 @@ class _Drawing:
         self, points: FloatArray, spread: Mapping[str, Distribution], joints: int, stratum: Stratum, draws: range
     ) -> None:
         """Give the joints of the machine of each draw, in points (n, columns) of what is uncertain, like contacts."""
-        first = 0
-        for path in sorted(spread):
-            chosen = slice(first, first := first + (joints if path in SHARED else 1))
+        for path, chosen in _columns(spread, joints):
             if path in SHARED and path.startswith("contact."):
                 common = unit_draws(seed_from(self.plan.seed, stratum, "alike", path), 1, draws.stop)[draws]
                 own = math.sqrt(1.0 - self.alike) * _score(points[:, chosen])
@@ -315,6 +313,13 @@ class _Drawing:
         return self.scatters[key]
 
 
+def _columns(spread: Mapping[str, Distribution], joints: int) -> Iterator[tuple[str, slice]]:
+    """Coordinates of what is uncertain, by path."""
+    first = 0
+    for path in sorted(spread):
+        yield path, slice(first, first := first + (joints if path in SHARED else 1))
+
+
 def _score(points: FloatArray) -> FloatArray:
     """Normal scores of coordinates."""
     return np.asarray(ndtri(np.clip(points, 1e-9, 1.0 - 1e-9)))
@@ -322,9 +327,7 @@ def _score(points: FloatArray) -> FloatArray:
 
 def _change_the_day(points: FloatArray, today: FloatArray, spread: Mapping[str, Distribution], joints: int) -> None:
     """Draw, in points (n, columns) of what is uncertain, what is not of the machine but of the day."""
-    first = 0
-    for path in sorted(spread):
-        chosen = slice(first, first := first + (joints if path in SHARED else 1))
+    for path, chosen in _columns(spread, joints):
         if is_of_the_day(path):
             # A joint without oil has none on any day.
             zero, own = spread[path].zero or 0.0, points[:, chosen]

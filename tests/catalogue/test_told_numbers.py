@@ -232,9 +232,11 @@ def test_contacts_are_told_of_all_joints_together(small_catalogue: Catalogue) ->
     mean = np.log([geometric_mean(of_joints(entry.parameters, path)) for entry in drawn])
     assert mean == pytest.approx(math.log(3e7), abs=0.4)
     assert 0.07 < mean.std() < 0.13
+    frame = [of_all.draw(number)[path] for number in range(len(drawn))]  # as the first of the other numbers is drawn
+    assert abs(np.corrcoef(np.log(frame), mean)[0, 1]) < 0.3
     for number, one in enumerate(drawn):
         own = of_joints(one.parameters, path)
-        assert geometric_mean(own) == pytest.approx(of_all.draw(number)[path])
+        assert geometric_mean(own) == pytest.approx(of_all.draw(number, "contacts")[path])
         if usual[number].variant.law == law:  # where it is the likelier one, it still is
             before = of_joints(usual[number].parameters, path)
             ratios = [own[name] / before[name] for name in own]
