@@ -35,9 +35,6 @@ CASES = 768
 SAME_SPEED = 0.01
 """Speeds that differ by less, as a part, are one."""
 
-COMPONENTS = 60
-"""Principal components of the features that numbers are told by."""
-
 FARTHEST = 4.0
 """A feature further from the mean of the cases, in standard deviations, counts as so far."""
 
@@ -157,15 +154,13 @@ def regress(features: FloatArray, numbers: FloatArray, shown: FloatArray) -> tup
 
     By cases of both, (n, d) and (n, p).
 
-    Kernel ridge regression on principal components; width and penalty are those of the least error where one case is
-    left out, for every number. Away from all cases the error grows to the scatter of the number (C. E. Rasmussen,
-    C. K. I. Williams, Gaussian Processes for Machine Learning (2006), 2.2 and 5.4.2).
+    Kernel ridge regression; width and penalty are those of the least error where one case is left out, for every
+    number. Away from all cases the error grows to the scatter of the number (C. E. Rasmussen, C. K. I. Williams,
+    Gaussian Processes for Machine Learning (2006), 2.2 and 5.4.2).
     """
     middle, scale = features.mean(axis=0), features.std(axis=0) + 1e-9
-    away, here = (features - middle) / scale, np.clip((shown - middle) / scale, -FARTHEST, FARTHEST)
-    axes = np.linalg.svd(away, full_matrices=False)[2][:COMPONENTS].T
-    points, point = away @ axes, here @ axes
-    unit = points[:, 0].std()
+    points, point = (features - middle) / scale, np.clip((shown - middle) / scale, -FARTHEST, FARTHEST)
+    unit = np.linalg.norm(points, 2) / math.sqrt(len(points))
     squares = np.sum(points**2, axis=1)
     apart = np.maximum(squares[:, None] + squares - 2.0 * points @ points.T, 0.0) / unit**2
     off = np.sum((points - point) ** 2, axis=1) / unit**2

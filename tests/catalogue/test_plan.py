@@ -18,7 +18,7 @@ from jointplay.catalogue.plans.entry import Entry, Recipe
 from jointplay.catalogue.plans.parameters import MachineNumbers
 from jointplay.catalogue.plans.plan import parse_plan, preset, preset_names
 from jointplay.catalogue.plans.plan_check import plan_lines
-from jointplay.catalogue.plans.plan_parts import STIFFNESS_SCATTER
+from jointplay.catalogue.plans.plan_parts import STIFFNESS_SCATTER, DrawCounts
 from jointplay.catalogue.plans.variants import Variant
 from jointplay.solver.cases.case import Case, Settings
 from jointplay.solver.cases.groups import full_paths
@@ -61,6 +61,7 @@ def test_presets_hold_what_they_say() -> None:
         assert sum(entry.joints == ("A", "C", "E", "F", "O") for entry in entries) == len(entries) - rigid
 
 
+@pytest.mark.long
 def test_each_preset_contains_the_smaller_one() -> None:
     smaller: set[str] = set()
     for name in preset_names():
@@ -362,7 +363,8 @@ def test_plan_reads_back_and_hash_ignores_the_name() -> None:
     resolved = preset("standard").resolve(QUICK_RETURN)
     assert parse_plan(resolved.content) == resolved
     assert resolved.resolve(QUICK_RETURN) == resolved
-    assert keys(resolved) == [entry.key for entry in entries_of_preset("standard")]
+    few = {"draws": DrawCounts(healthy=2, single=2, pair=2, larger=2)}
+    assert keys(resolved.model_copy(update=few)) == keys(preset("standard").model_copy(update=few))
 
 
 def test_a_recipe_reads_back_and_is_not_mixed_with_another() -> None:

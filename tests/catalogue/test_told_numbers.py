@@ -173,6 +173,17 @@ def test_a_number_is_told_as_far_as_features_show_it() -> None:
     assert regress(features, numbers[:, :0], shown)[0].shape == (0,)
 
 
+def test_a_number_that_one_feature_shows_is_told_beside_many_that_vary_together() -> None:
+    """As an order that ripple shakes is one of hundreds."""
+    generator = np.random.default_rng(1)
+    together = generator.normal(size=(400, 90)) @ generator.normal(size=(90, 200))
+    numbers = generator.normal(size=(400, 1))
+    own = numbers + 0.1 * generator.normal(size=(400, 1))
+    mean, error, _ = regress(np.hstack([together, own]), numbers, np.append(together[3], 1.0))
+    assert mean[0] == pytest.approx(1.0, abs=3.0 * error[0])
+    assert error[0] < 0.3  # of 1, which 60 principal components leave at 0.76
+
+
 def test_errors_go_together_as_those_of_cases_do() -> None:
     """As large as they are said to be; a number that no case draws anew, as damping that is 0, is certain."""
     generator = np.random.default_rng(1)
