@@ -45,7 +45,7 @@ LEAST_OF_LAW = 48
 """Cases of a contact law, at least: fewer tell nothing."""
 
 WIDTHS = (1.0, 2.0, 3.0, 5.0, 8.0, 16.0)
-"""Of the kernel, in standard deviations of the first component."""
+"""Of the kernel, in standard deviations of the largest principal component of the features."""
 
 RIDGES = np.geomspace(1e-3, 30.0, 12)
 """Variance of what features do not tell, as a part of a number's own."""
