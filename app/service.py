@@ -16,7 +16,7 @@ from sqlalchemy.orm import Session
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 
-from jointplay.app.errors import BadFieldError, DeletedError, QuotaError, UnknownMeasurementError
+from jointplay.app.errors import BadFieldError, DeletedError, QuotaError, TimeLimitError, UnknownMeasurementError
 from jointplay.app.figures.pictures import response_picture
 from jointplay.app.jobs import following, forecasts, tasks, virtual
 from jointplay.app.jobs.build_orders import machine_of, plan_of
@@ -198,9 +198,9 @@ class Service:
         recordings = [(str(self.store.path_of(row.sha256)), row.name, row.told) for row in rows]
         result: Diagnosis
         if request.measurement is not None:
-            result = await self.pool.run(tasks.diagnose, *recordings[0], asked.question)
+            result = await self.answer(tasks.diagnose, *recordings[0], asked.question)
         else:
-            result = await self.pool.run(tasks.diagnose_together, recordings, asked.question)
+            result = await self.answer(tasks.diagnose_together, recordings, asked.question)
             request = request.model_copy(update={"measurements": [row.id for row in rows]})
         self.metrics.count_diagnosis(result)
         diagnosis = self.new_diagnosis(request, asked, result, columns_of(rows[0].summary), rows[0].told)
@@ -224,12 +224,30 @@ class Service:
         if asked.asset is not None and await run_in_threadpool(self.may_remember, asked, request):
             read = await self.pool.run(tasks.summarise, *recording)
             asked, request = await run_in_threadpool(self.with_remembered, asked, request, columns_of(read))
-        summary, outcome = await self.pool.run(tasks.summarise_and_diagnose, *recording, asked.question)
+        summary, outcome = await self.answer(tasks.summarise_and_diagnose, *recording, asked.question)
         if outcome.problem is not None:
             raise TaskFailedError(outcome.problem)
         self.metrics.count_diagnosis(outcome.value)
         diagnosis = self.new_diagnosis(request, asked, outcome.value, columns_of(summary), told)
         return await run_in_threadpool(self.store.add_both, upload, name, told, summary, diagnosis)
+
+    async def answer(self, task: Callable[..., Any], *args: Any) -> Any:
+        """Run a task that diagnoses in a worker; its last argument is the question.
+
+        Raises
+        ------
+        TimeLimitError
+            When it takes too long; says so where the same question asked again goes on from there.
+        """
+        try:
+            return await self.pool.run(task, *args)
+        except TimeLimitError as error:
+            question: tasks.DiagnosisTask = args[-1]
+            if question.effort != "thorough" or not question.baselines:
+                raise
+            raise TimeLimitError(
+                f"{error}; what it simulated of this machine is kept: ask again, and it goes on"
+            ) from None
 
     async def forecast(self, wanted: BuildRequest) -> dict[str, Any]:
         """Return what a build would take, by some cases that are tried in a worker; nothing is asked for.

@@ -27,6 +27,7 @@ from jointplay.app.storage.remembered import Remembered
 from jointplay.app.storage.rows import DiagnosisRow
 from jointplay.app.storage.store import Store, measurement_key
 from jointplay.app.storage.told import Told
+from jointplay.catalogue.matching.modes import Effort
 from jointplay.catalogue.measurements.measurement import Recording
 
 
@@ -124,6 +125,21 @@ def test_a_recording_goes_when_its_diagnosis_fails(shelf: Path, tmp_path: Path, 
         ask(service, worn)
     assert pool.asked == ["summarise_and_diagnose"]
     assert kept(service) == 0
+
+
+@pytest.mark.parametrize(
+    ("effort", "baselines", "goes_on"), [("thorough", 1, True), ("thorough", 0, False), ("fast", 1, False)]
+)
+def test_whoever_may_ask_again_is_told(
+    shelf: Path, tmp_path: Path, effort: Effort, baselines: int, goes_on: bool
+) -> None:
+    service = service_of(shelf, tmp_path, Here(TimeLimitError("stopped after 120 s")))
+    baseline = (("order.csv", "order.csv", Told()),) * baselines
+    question = tasks.DiagnosisTask("slider-crank", "", None, effort, "auto", {}, {}, baseline)
+    with pytest.raises(TimeLimitError) as caught:
+        asyncio.run(service.answer(tasks.summarise_and_diagnose, "worn.csv", "worn.csv", Told(), question))
+    assert ("ask again, and it goes on" in str(caught.value)) is goes_on
+    assert str(caught.value).startswith("stopped after 120 s")
 
 
 @pytest.mark.parametrize(
