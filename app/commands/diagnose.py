@@ -22,6 +22,7 @@ from jointplay.app.commands.parameters import (
     print_json,
     refuse_given,
 )
+from jointplay.app.commands.progress import ProgressLine
 from jointplay.app.errors import BadFieldError, RefusedFilesError
 from jointplay.app.fields import FILE_FIELDS, PROFILE
 from jointplay.app.rows import hypothesis_rows, joint_rows, percent, recording_rows
@@ -197,7 +198,8 @@ def command(
         if refused:
             raise RefusedFilesError(f"{refused} of {len(rows)} measurements were refused; {out} says why")
         return
-    diagnosis = ask(recordings, speeds=speeds or None)
+    with ProgressLine("diagnosing", "cases simulated") as line:
+        diagnosis = ask(recordings, speeds=speeds or None, progress=line.show)
     if plot is not None:
         from jointplay.app.figures.plots import plot_diagnosis
 

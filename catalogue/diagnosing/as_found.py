@@ -8,14 +8,14 @@ what the first cases say of clearances and load. Both go through the matcher tha
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from jointplay.catalogue.diagnosing.causes import NamedCause
-from jointplay.catalogue.diagnosing.found_cases import changed, draw_cases, simulate_cases
+from jointplay.catalogue.diagnosing.found_cases import changed, counting, draw_cases, simulate_cases
 from jointplay.catalogue.diagnosing.found_spectra import FoundSpectra
 from jointplay.catalogue.diagnosing.stroke_loads import FoundLoad, find_load
 from jointplay.catalogue.matching.learning import Learning, training_set
@@ -107,6 +107,7 @@ def refine(
     mode: ModeAsked = "auto",
     prior: Prior | None = None,
     cases: int,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Refined:
     """Simulate the machine as found where that can change the answer.
 
@@ -126,6 +127,8 @@ def refine(
         That of the answer; the usual one unless given.
     cases : int
         How many may be simulated, of all sets together; some are in any case.
+    progress : callable, optional
+        Called with the number of cases done and their total.
 
     Returns
     -------
@@ -151,13 +154,13 @@ def refine(
         match.label: _Region.of([e for e in drawn if e.hypothesis.label == match.label], paths) for match in chosen
     }
 
-    def simulate(cases: Sequence[Entry], regions: Mapping[str, _Region]) -> FoundSpectra:
+    def simulate(cases: Sequence[Entry], regions: Mapping[str, _Region], before: int = 0) -> FoundSpectra:
         moved = []
         for entry in cases:
             old, new = whole[entry.hypothesis.label], regions[entry.hypothesis.label]
             clearances, sizes = old.clearances(entry, new), old.numbers(entry, new, paths)
             moved.append(changed(entry, machine, catalogue.recipe, clearances, sizes))
-        return simulate_cases(catalogue, machine, moved)
+        return simulate_cases(catalogue, machine, moved, counting(progress, before, len(drawn)))
 
     wide = {match.label: whole[match.label].around(match) for match in chosen}
     broad = simulate([entry for entry in drawn if entry.draw < first], wide)
@@ -172,7 +175,8 @@ def refine(
                 mean, error = _regress(broad, match.label, observed, paths)
             region = replace(region, load=mean, error=error)
         near[match.label] = region
-    later = simulate([entry for entry in drawn if entry.draw >= first], near)
+    rest = [entry for entry in drawn if entry.draw >= first]
+    later = simulate(rest, near, len(drawn) - len(rest))
     if not later.entries:
         return Refined(result, len(drawn), 2, "cases near the answer could not be simulated, so that nothing changes")
     inside = [row for row, entry in enumerate(broad.entries) if near[entry.hypothesis.label].holds(entry)]

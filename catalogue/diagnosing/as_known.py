@@ -7,7 +7,7 @@ come loose, so that the next recording finds them again.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import reduce
 from operator import add
@@ -21,7 +21,8 @@ from jointplay.catalogue.diagnosing.as_found import (
     settled,
     with_prior,
 )
-from jointplay.catalogue.diagnosing.found_cases import draw_cases
+from jointplay.catalogue.diagnosing.found_cases import counting, draw_cases
+from jointplay.catalogue.diagnosing.found_spectra import FoundSpectra
 from jointplay.catalogue.diagnosing.kept_cases import simulate_once
 from jointplay.catalogue.diagnosing.known_machine import KnownMachine
 from jointplay.catalogue.diagnosing.loose_mounts import name_loose_mount
@@ -56,6 +57,7 @@ def refine_known(
     mode: ModeAsked = "auto",
     prior: Prior | None = None,
     cases: int,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Refined | None:
     """Match a recording with simulations of its machine as recordings of it in order have told it.
 
@@ -74,6 +76,8 @@ def refine_known(
         As for :func:`~jointplay.catalogue.diagnosing.as_found.refine`.
     cases : int
         How many are simulated, of all sets together; some of each in any case. Those of the machine in order are more.
+    progress : callable, optional
+        Called with the number of cases done and their total, where they are simulated.
 
     Returns
     -------
@@ -87,7 +91,7 @@ def refine_known(
     factor = 1.0 if observed.speed is None else catalogue.matrix.nearest_speed(observed.speed)
     if observed.speed is not None and not SPEED[0] <= observed.speed / (factor * abs(nominal)) <= SPEED[1]:
         return None
-    load, numbers = known.tell(catalogue)
+    load, numbers = known.tell(catalogue, progress)
     if numbers is None:
         return None
     speed = factor * nominal
@@ -95,7 +99,11 @@ def refine_known(
     count = max(LEAST_CASES, cases // len(sets))
     machine, drawn = draw_cases(catalogue, speed, sets, load, count, doubted=True, told=numbers, to_come=True)
     by_set = [[entry for entry in drawn if entry.worn == joints] for joints in sets]
-    simulated = [simulate_once(catalogue, machine, each) for each in by_set]
+    simulated: list[FoundSpectra] = []
+    done = 0
+    for each in by_set:
+        simulated.append(simulate_once(catalogue, machine, each, counting(progress, done, len(drawn))))
+        done += len(each)
     if any(len(each.entries) < LEAST_CASES // 2 for each in simulated):
         return Refined(result, len(drawn), 1, "some hypotheses could not be simulated, so that nothing changes")
     every = reduce(add, simulated)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from jointplay.catalogue.diagnosing.answer import Diagnosis
 from jointplay.catalogue.diagnosing.hearing import hear
@@ -34,6 +34,7 @@ def diagnose(
     limits_um: Mapping[str, float] | None = None,
     baseline: Recording | Sequence[Recording] | None = None,
     library: ModelLibrary | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Diagnosis:
     """Say which joints are worn, by how much, and how sure that is.
 
@@ -57,6 +58,8 @@ def diagnose(
     library : ModelLibrary, optional
         Answers, and keeps what was learned for the next recording; the catalogue's own unless given. One of another
         method is a :class:`jointplay.catalogue.evaluation.cross_checks.MethodLibrary`.
+    progress : callable, optional
+        See :class:`Question`.
 
     Returns
     -------
@@ -82,6 +85,7 @@ def diagnose(
         limits_um=limits_um,
         baseline=baseline,
         library=library,
+        progress=progress,
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -159,11 +159,25 @@ def changed(
     )
 
 
-def simulate_cases(catalogue: Catalogue, machine: Machine, cases: Sequence[Entry]) -> FoundSpectra:
-    """Simulate cases, on all processors, and return them in their order, without those that could not be."""
+def simulate_cases(
+    catalogue: Catalogue, machine: Machine, cases: Sequence[Entry], progress: Callable[[int], None] | None = None
+) -> FoundSpectra:
+    """Simulate cases, on all processors, and return them in their order, without those that could not be.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+    machine : Machine
+        Of the cases.
+    cases : sequence of Entry
+        One at least.
+    progress : callable, optional
+        Called with the number of cases done.
+    """
     cuts = catalogue.matrix.cuts
     chunks = cut_chunks(machine, catalogue.recipe, cases, CHUNK)
     simulated: dict[str, FloatArray] = {}
+    done = 0
     # Compiled code lets other threads run.
     with one_thread(), ThreadPoolExecutor(count_processors()) as threads:
         for chunk, outcomes in zip(chunks, threads.map(simulate_chunk, chunks), strict=True):
@@ -171,5 +185,13 @@ def simulate_cases(catalogue: Catalogue, machine: Machine, cases: Sequence[Entry
                 if outcome.power is not None and outcome.cyclic is not None:
                     joined = np.add.reduceat(pack(outcome.power)[: cuts[-1]], cuts[:-1], axis=0)
                     simulated[entry.key] = np.concatenate([joined, pack_cyclic(outcome.cyclic)[: len(joined)]], axis=1)
+            done += len(chunk.entries)
+            if progress is not None:
+                progress(done)
     entries = tuple(entry for entry in cases if entry.key in simulated)
     return FoundSpectra(catalogue.matrix, entries, np.array([simulated[entry.key] for entry in entries]))
+
+
+def counting(progress: Callable[[int, int], None] | None, before: int, total: int) -> Callable[[int], None] | None:
+    """Return what tells how many of all cases are done, called with those of a part before which some are already."""
+    return None if progress is None else lambda done: progress(before + done, total)

@@ -82,6 +82,7 @@ def _simulate(heard: Heard, catalogue: Catalogue, question: Question) -> Refined
             mode=question.mode,
             prior=question.prior,
             cases=question.cases,
+            progress=question.progress,
         )
         if refined:
             return refined
@@ -99,6 +100,7 @@ def _simulate(heard: Heard, catalogue: Catalogue, question: Question) -> Refined
         mode=question.mode,
         prior=question.prior,
         cases=question.cases,
+        progress=question.progress,
     )
 
 

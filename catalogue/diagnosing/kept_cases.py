@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -24,7 +24,9 @@ KEPT = 2048
 speed, so that a hundred machines of four joints have theirs."""
 
 
-def simulate_once(catalogue: Catalogue, machine: Machine, cases: Sequence[Entry]) -> FoundSpectra:
+def simulate_once(
+    catalogue: Catalogue, machine: Machine, cases: Sequence[Entry], progress: Callable[[int], None] | None = None
+) -> FoundSpectra:
     """Return what :func:`~jointplay.catalogue.diagnosing.found_cases.simulate_cases` does, from a file if there is one.
 
     The same numbers either way; a file that cannot be read, or written, only costs time.
@@ -36,6 +38,8 @@ def simulate_once(catalogue: Catalogue, machine: Machine, cases: Sequence[Entry]
         Of the cases.
     cases : sequence of Entry
         One at least.
+    progress : callable, optional
+        Called with the number of cases done, where they are simulated.
 
     Returns
     -------
@@ -47,7 +51,7 @@ def simulate_once(catalogue: Catalogue, machine: Machine, cases: Sequence[Entry]
     name = f"cases-{key[:32]}"
     kept = _read(folder, name, len(cases))
     if kept is None:
-        found = simulate_cases(catalogue, machine, cases)
+        found = simulate_cases(catalogue, machine, cases, progress)
         places = {entry.key: place for place, entry in enumerate(cases)}
         kept = np.array([places[entry.key] for entry in found.entries], np.int64), found.spectra
         with suppress(CatalogueFileError):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from jointplay.catalogue.diagnosing.answer_of_baseline import BaselineRecording, BaselineShown
@@ -54,14 +54,16 @@ class KnownMachine:
         rows = [matrix.rows(hypothesis.label) for hypothesis in matrix.hypotheses]
         return self.baseline.weights(matrix.numbers(paths), rows)
 
-    def tell(self, catalogue: Catalogue) -> tuple[FoundLoad | None, ToldNumbers | None]:
+    def tell(
+        self, catalogue: Catalogue, progress: Callable[[int, int], None] | None = None
+    ) -> tuple[FoundLoad | None, ToldNumbers | None]:
         """Return what they tell of load and numbers, by simulations of the machine in order, which are made once.
 
-        Of the catalogue that it was fitted by.
+        Of the catalogue that it was fitted by; `progress` is called with the number of cases done and their total.
         """
         if not self._told:
             earlier = [self.baseline.correct(each, catalogue.machine) for each in self.past if not each.flaws]
-            self._told.append(tell_numbers(earlier, catalogue) if earlier else (None, None))
+            self._told.append(tell_numbers(earlier, catalogue, progress) if earlier else (None, None))
         return self._told[0]
 
     def describe(self, *, heard: bool) -> BaselineShown:

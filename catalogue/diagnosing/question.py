@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import get_args
 
@@ -39,6 +39,8 @@ class Question:
         Which joints are likely to wear, and how many at once.
     limits_um : mapping of str to float
         Radial clearance [um] from which a joint of this very machine is worn out, where it is not as its file says.
+    progress : callable, optional
+        Called with the number of cases done and their total, while ``thorough`` simulates for a recording.
 
     Raises
     ------
@@ -52,6 +54,7 @@ class Question:
     cases: int = 2304
     prior: Prior = field(default_factory=Prior)
     limits_um: Mapping[str, float] = field(default_factory=dict)
+    progress: Callable[[int, int], None] | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         if not 0.0 < self.coverage < 1.0:

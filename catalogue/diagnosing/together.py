@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import statistics
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -49,6 +49,7 @@ def diagnose_together(
     limits_um: Mapping[str, float] | None = None,
     baseline: Recording | Sequence[Recording] | None = None,
     library: ModelLibrary | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Diagnosis:
     """Say which joints are worn, by how much, and how sure that is, from several recordings of one machine.
 
@@ -63,7 +64,7 @@ def diagnose_together(
         Of the same machine, best with several speeds.
     speeds : sequence of float or None, optional
         Drive speed of each, rad/s; estimated where it is not given.
-    effort, mode, mapping, coverage, cases, prior, limits_um, baseline, library
+    effort, mode, mapping, coverage, cases, prior, limits_um, baseline, library, progress
         As for :func:`~jointplay.catalogue.diagnosing.diagnosis.diagnose`; cases are for each recording.
 
     Returns
@@ -77,7 +78,7 @@ def diagnose_together(
     DiagnosisError
         A setting breaks a rule, there are no or too many recordings, or the catalogue holds too little.
     """
-    question = Question(effort, mode, coverage, cases, prior or Prior(), limits_um or {})
+    question = Question(effort, mode, coverage, cases, prior or Prior(), limits_um or {}, progress)
     question.prior.check(catalogue.matrix.joints)
     given = list(speeds) if speeds is not None else [None] * len(recordings)
     if not 1 <= len(recordings) <= MOST_TOGETHER:

@@ -8,13 +8,13 @@ how fits rattle, which simulations know.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from jointplay.catalogue.diagnosing.comparison import common_sensing, features_of, view_of, watched_levels
-from jointplay.catalogue.diagnosing.found_cases import draw_cases, on_a_day
+from jointplay.catalogue.diagnosing.found_cases import counting, draw_cases, on_a_day
 from jointplay.catalogue.diagnosing.found_spectra import FoundSpectra
 from jointplay.catalogue.diagnosing.kept_cases import simulate_once
 from jointplay.catalogue.diagnosing.stroke_loads import COMMON, DIFFERENCE, FoundLoad, find_load
@@ -52,7 +52,9 @@ RIDGES = np.geomspace(1e-3, 30.0, 12)
 
 
 def tell_numbers(
-    in_order: Sequence[PreparedMeasurement], catalogue: Catalogue
+    in_order: Sequence[PreparedMeasurement],
+    catalogue: Catalogue,
+    progress: Callable[[int, int], None] | None = None,
 ) -> tuple[FoundLoad | None, ToldNumbers | None]:
     """Tell numbers of a machine by recordings of it in order.
 
@@ -62,6 +64,8 @@ def tell_numbers(
         One at least; those by the sensors and at the speed of the first one count, by their mean.
     catalogue : Catalogue
         Of the machine.
+    progress : callable, optional
+        Called with the number of cases done and their total, where they are simulated.
 
     Returns
     -------
@@ -78,7 +82,8 @@ def tell_numbers(
     paths = tuple(path for path in drawn[0].parameters if path.startswith(doubtful))
     if not (paths or load):
         return None, None
-    cases = simulate_once(catalogue, machine, [on_a_day(entry, machine, catalogue.recipe) for entry in drawn])
+    asked = [on_a_day(entry, machine, catalogue.recipe) for entry in drawn]
+    cases = simulate_once(catalogue, machine, asked, counting(progress, 0, len(asked)))
     if len(cases.entries) < CASES // 2:
         return None, None
     parts, of_load = np.array([COMMON, DIFFERENCE]), load.paths if load else ()

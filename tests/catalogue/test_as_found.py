@@ -219,8 +219,12 @@ def test_open_questions_are_simulated_without_a_load(small_catalogue: Catalogue)
     observed, result = asked(small_catalogue, prepared)
     matches = tuple(replace(match, probability=0.25) for match in result.hypotheses)
     vague = replace(result, hypotheses=matches, trusted_p_value=1.0)
-    answered = refine(prepared, observed, small_catalogue, vague, ["A", "B"], cases=1)
+    told: list[tuple[int, int]] = []
+    answered = refine(
+        prepared, observed, small_catalogue, vague, ["A", "B"], cases=1, progress=lambda *done: told.append(done)
+    )
     assert answered.simulations == 4 * LEAST_CASES
+    assert told == sorted(told) and told[-1] == (4 * LEAST_CASES, 4 * LEAST_CASES)
     assert answered.result.best.label == "B"
     assert answered.result.best.probability < 0.1 * 0.25 + 0.9
     assert answered.cause is None

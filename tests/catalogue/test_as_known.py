@@ -56,16 +56,16 @@ def loaded(small_catalogue: Catalogue) -> PreparedMeasurement:
 
 
 def that_tells(load: FoundLoad | None, numbers: ToldNumbers | None) -> KnownMachine:
-    return cast(KnownMachine, SimpleNamespace(tell=lambda catalogue: (load, numbers)))
+    return cast(KnownMachine, SimpleNamespace(tell=lambda *_: (load, numbers)))
 
 
 def counted(monkeypatch: pytest.MonkeyPatch) -> list[Entry]:
     """What is simulated from now on."""
     simulated: list[Entry] = []
 
-    def simulate(catalogue: Catalogue, machine: Machine, cases: Sequence[Entry]) -> FoundSpectra:
+    def simulate(catalogue: Catalogue, machine: Machine, cases: Sequence[Entry], *told: Any) -> FoundSpectra:
         simulated.extend(cases)
-        return simulate_cases(catalogue, machine, cases)
+        return simulate_cases(catalogue, machine, cases, *told)
 
     monkeypatch.setattr(kept_cases, "simulate_cases", simulate)
     return simulated
@@ -119,15 +119,19 @@ def test_a_machine_is_simulated_once(
     assert len(kept) == 4
     kept[0].unlink()
     kept[1].write_bytes(b"half a file")
-    third = refine_known(observed, own_catalogue, vague, ["A", "B"], that_tells(load, TOLD), is_otherwise=True, cases=1)
+    told: list[tuple[int, int]] = []
+    third = refine_known(observed, own_catalogue, vague, ["A", "B"], that_tells(load, TOLD), is_otherwise=True, cases=1,
+                         progress=lambda *done: told.append(done))  # fmt: skip
     assert third is not None and len(simulated) == 2 * as_known.LEAST_CASES
+    assert told == sorted(told) and {total for _, total in told} == {4 * as_known.LEAST_CASES}
+    assert len({(done - 1) // as_known.LEAST_CASES for done, _ in told}) == 2  # nothing of what was kept
     assert probabilities(third.result) == probabilities(first.result)
 
 
 def test_where_nothing_can_change_nothing_is_asked(own_catalogue: Catalogue, loaded: PreparedMeasurement) -> None:
     """And where a past tells nothing, that is said: the machine is simulated as the recording has it then."""
     observed, vague = doubted(own_catalogue, loaded)
-    asleep = cast(KnownMachine, SimpleNamespace(tell=lambda catalogue: pytest.fail("asked")))
+    asleep = cast(KnownMachine, SimpleNamespace(tell=lambda *_: pytest.fail("asked")))
     left = refine_known(observed, own_catalogue, vague, ["A", "B"], asleep, mode="robust", is_otherwise=True, cases=1)
     assert left is not None and left.result is vague and not left.simulations
     assert (

@@ -121,8 +121,8 @@ def test_mounts_are_told_as_they_are_when_it_is_neither_warm_nor_cold(
     simulated: list[Entry] = []
     told: list[FloatArray] = []
 
-    def simulate(catalogue: Catalogue, machine: Machine, cases: Sequence[Entry]) -> FoundSpectra:
-        found = simulate_once(catalogue, machine, cases)
+    def simulate(catalogue: Catalogue, machine: Machine, cases: Sequence[Entry], *told: Any) -> FoundSpectra:
+        found = simulate_once(catalogue, machine, cases, *told)
         simulated.extend(found.entries)
         return found
 
@@ -264,7 +264,7 @@ def test_what_is_told_of_a_machine_is_told_once(
     """By recordings whose sensors do not contradict each other; none tell nothing."""
     asked: list[list[str]] = []
 
-    def tell(recordings: list[PreparedMeasurement], _: Catalogue) -> tuple[None, None]:
+    def tell(recordings: list[PreparedMeasurement], *_: Any) -> tuple[None, None]:
         asked.append([each.name for each in recordings])
         return None, None
 
@@ -285,7 +285,7 @@ def test_a_doubted_machine_is_asked_for_its_numbers(
     """With effort thorough, whatever it may have had; a load that has come since is looked for in the recording."""
     told: list[int] = []
 
-    def tell(recordings: list[PreparedMeasurement], _: Catalogue) -> tuple[None, None]:
+    def tell(recordings: list[PreparedMeasurement], *_: Any) -> tuple[None, None]:
         told.append(len(recordings))
         return None, None
 
@@ -430,6 +430,10 @@ def test_nothing_is_told_by_too_few_cases(
     simulate = told_numbers.simulate_once
     monkeypatch.setattr(told_numbers, "CASES", 16)
     monkeypatch.setattr(
-        told_numbers, "simulate_once", lambda catalogue, machine, cases: simulate(catalogue, machine, cases[:7])
+        told_numbers,
+        "simulate_once",
+        lambda catalogue, machine, cases, *told: simulate(catalogue, machine, cases[:7], *told),
     )
-    assert tell_numbers([in_order], small_catalogue) == (None, None)
+    told: list[tuple[int, int]] = []
+    assert tell_numbers([in_order], small_catalogue, lambda *done: told.append(done)) == (None, None)
+    assert told == sorted(told) and told[-1] == (7, 16)
