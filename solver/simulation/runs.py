@@ -17,6 +17,7 @@ from jointplay.solver.cases.rates import error_scales, velocity_scales
 from jointplay.solver.compiler.ir import LANES
 from jointplay.solver.equations.anchors import row_times
 from jointplay.solver.equations.model import MODELS_KEPT, Model
+from jointplay.solver.equations.turns import aside
 from jointplay.solver.integrators import adaptive, control, gill
 from jointplay.solver.integrators.kernel import Kernel, compile_adaptive, compile_model
 from jointplay.solver.integrators.lanes import (
@@ -173,7 +174,8 @@ def _controlled_runs(
     spent = 0.0
     while lanes.cursor[BUSY] > 0 or lanes.cursor[NEXT] < len(waiting):
         began = time.process_time()
-        adaptive.integrate(kernel.functions, work, rows, queue, records, lanes)
+        with aside():
+            adaptive.integrate(kernel.functions, work, rows, queue, records, lanes)
         _look(lanes, queue, records, len(model.frame_coordinates), repeating)
         ended = lanes.ended[: lanes.cursor[ENDED]].copy()
         lanes.cursor[ENDED] = 0

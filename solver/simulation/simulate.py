@@ -30,6 +30,7 @@ from jointplay.solver.cases.steps import SETTLED_PART, Accuracy, suspension_of
 from jointplay.solver.equations.drive import repeating_frequency
 from jointplay.solver.equations.links import link_motion
 from jointplay.solver.equations.model import Model
+from jointplay.solver.equations.turns import alone
 from jointplay.solver.errors import AssemblyError, SettingsError
 from jointplay.solver.machines.fault import HEALTHY, Fault
 from jointplay.solver.machines.machine import Machine, has_known_effort
@@ -196,12 +197,13 @@ def start_of(machine: Machine, case: Case, settings: Settings | None = None) -> 
     return Start(group.ready[0].z, group.ready[0].v)
 
 
+@alone()
 def simulate_batch(
     machine: Machine, cases: Sequence[Case], settings: Settings | None = None,
     progress: Callable[[int], None] | None = None, *, starts: Sequence[Start | None] | None = None,
     accuracies: Sequence[Accuracy] | None = None,
 ) -> list[History]:  # fmt: skip
-    """Simulate a table of cases.
+    """Simulate a table of cases; of threads that do so at the same time one at a time works at equations.
 
     Parameters
     ----------
