@@ -5,9 +5,8 @@ from __future__ import annotations
 import io
 import json
 import threading
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 from anyio import CapacityLimiter
@@ -16,7 +15,7 @@ from sqlalchemy.orm import Session
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 
-from jointplay.app.errors import BadFieldError, DeletedError, QuotaError, TimeLimitError, UnknownMeasurementError
+from jointplay.app.errors import QuotaError, TimeLimitError
 from jointplay.app.figures.pictures import response_picture
 from jointplay.app.jobs import following, forecasts, tasks, virtual
 from jointplay.app.jobs.build_orders import machine_of, plan_of
@@ -24,17 +23,17 @@ from jointplay.app.jobs.build_runner import BuildRunner
 from jointplay.app.jobs.samples import StoredRecording
 from jointplay.app.jobs.workers import TaskFailedError, WorkerPool
 from jointplay.app.metrics import Metrics
+from jointplay.app.questions import Asked, Questions, columns_of
 from jointplay.app.schemas.builds import BuildRequest
 from jointplay.app.schemas.resources import DiagnosisRequest
 from jointplay.app.schemas.virtual import VirtualRequest
 from jointplay.app.settings import ServiceSettings
 from jointplay.app.shelves import built_in
-from jointplay.app.shelves.catalogues import CatalogueShelf, Offer, stamp_of
+from jointplay.app.shelves.catalogues import CatalogueShelf, stamp_of
 from jointplay.app.shelves.entries import EntryShelf
-from jointplay.app.speeds import speed_of
 from jointplay.app.storage import webhooks
 from jointplay.app.storage.asset_rows import AssetRow
-from jointplay.app.storage.assets import Assets, measurements_of, touch_owners
+from jointplay.app.storage.assets import Assets, touch_owners
 from jointplay.app.storage.build_queue import BuildQueue
 from jointplay.app.storage.machine_store import MachineStore
 from jointplay.app.storage.remembered import Remembered
@@ -44,7 +43,6 @@ from jointplay.app.storage.stored_files import SIGNALS
 from jointplay.app.storage.told import Told
 from jointplay.app.storage.uploads import Upload
 from jointplay.catalogue.diagnosing.answer import Diagnosis
-from jointplay.catalogue.diagnosing.question import MOST_TOGETHER
 from jointplay.catalogue.following.state import WearState
 from jointplay.solver.machines.machine import Machine
 
@@ -54,31 +52,6 @@ FORECASTS, FORECAST_S = 64, 600.0
 
 LOOKS = 8
 """Looks at a time whether the service is ready."""
-
-
-@dataclass(frozen=True)
-class Asked:
-    """What a request for a diagnosis names.
-
-    Parameters
-    ----------
-    offer : Offer
-        Its catalogue.
-    asset : AssetRow or None
-        Its asset.
-    question : DiagnosisTask
-        What a worker is told of them.
-    baselines : tuple of str
-        Ids of the recordings of the asset in order that it is compared with.
-    remembered : bool
-        Whether its sensors are those of the asset's last recording with the same columns.
-    """
-
-    offer: Offer
-    asset: AssetRow | None
-    question: tasks.DiagnosisTask
-    baselines: tuple[str, ...] = ()
-    remembered: bool = False
 
 
 @dataclass(frozen=True)
@@ -101,6 +74,11 @@ class Service:
     """Set when the server is to stop: answers that go on and on then end."""
     looks: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(LOOKS))
     """Threads that look whether all is well: those of requests may all wait for what is not."""
+
+    @property
+    def questions(self) -> Questions:
+        """Finds what requests for diagnoses name."""
+        return Questions(self.store, self.shelf)
 
     @property
     def samples(self) -> str:
@@ -194,13 +172,13 @@ class Service:
 
     async def diagnose(self, request: DiagnosisRequest) -> DiagnosisRow:
         """Diagnose a stored measurement, or several of one machine, in a worker and store the result."""
-        rows, asked, request = await run_in_threadpool(self.about_stored, request)
+        rows, asked, request = await run_in_threadpool(self.questions.about_stored, request)
         recordings = [(str(self.store.path_of(row.sha256)), row.name, row.told) for row in rows]
         result: Diagnosis
         if request.measurement is not None:
-            result = await self.answer(tasks.diagnose, *recordings[0], asked.question)
+            result = await self.answer(tasks.diagnose, *recordings[0], question=asked.question)
         else:
-            result = await self.answer(tasks.diagnose_together, recordings, asked.question)
+            result = await self.answer(tasks.diagnose_together, recordings, question=asked.question)
             request = request.model_copy(update={"measurements": [row.id for row in rows]})
         self.metrics.count_diagnosis(result)
         diagnosis = self.new_diagnosis(request, asked, result, columns_of(rows[0].summary), rows[0].told)
@@ -219,20 +197,20 @@ class Service:
         """
         told = await self.recall(upload, name, told, request.asset)
         request = request.model_copy(update={"measurement": measurement_key(upload.sha256, name, told)})
-        asked = await run_in_threadpool(self.about, request)
+        asked = await run_in_threadpool(self.questions.about, request)
         recording = (str(upload.path), name, told)
-        if asked.asset is not None and await run_in_threadpool(self.may_remember, asked, request):
+        if asked.asset is not None and await run_in_threadpool(self.questions.may_remember, asked, request):
             read = await self.pool.run(tasks.summarise, *recording)
-            asked, request = await run_in_threadpool(self.with_remembered, asked, request, columns_of(read))
-        summary, outcome = await self.answer(tasks.summarise_and_diagnose, *recording, asked.question)
+            asked, request = await run_in_threadpool(self.questions.with_remembered, asked, request, columns_of(read))
+        summary, outcome = await self.answer(tasks.summarise_and_diagnose, *recording, question=asked.question)
         if outcome.problem is not None:
             raise TaskFailedError(outcome.problem)
         self.metrics.count_diagnosis(outcome.value)
         diagnosis = self.new_diagnosis(request, asked, outcome.value, columns_of(summary), told)
         return await run_in_threadpool(self.store.add_both, upload, name, told, summary, diagnosis)
 
-    async def answer(self, task: Callable[..., Any], *args: Any) -> Any:
-        """Run a task that diagnoses in a worker; its last argument is the question.
+    async def answer(self, task: Callable[..., Any], *recorded: Any, question: tasks.DiagnosisTask) -> Any:
+        """Run a task that diagnoses what was recorded in a worker.
 
         Raises
         ------
@@ -240,9 +218,8 @@ class Service:
             When it takes too long; says so where the same question asked again goes on from there.
         """
         try:
-            return await self.pool.run(task, *args)
+            return await self.pool.run(task, *recorded, question)
         except TimeLimitError as error:
-            question: tasks.DiagnosisTask = args[-1]
             if question.effort != "thorough" or not question.baselines:
                 raise
             raise TimeLimitError(
@@ -276,104 +253,6 @@ class Service:
         drawn: str = await self.pool.run(response_picture, machine, phase)
         return drawn
 
-    def about_stored(self, request: DiagnosisRequest) -> tuple[list[MeasurementRow], Asked, DiagnosisRequest]:
-        """Return the measurements that a request names, what else it names, and the request with what is remembered.
-
-        Which column is which sensor is taken from what was said of the asset's last recording with the same columns,
-        where the request does not say it.
-
-        Raises
-        ------
-        AppError
-            When something of that does not exist, or breaks a rule.
-        """
-        asked = self.about(request)
-        rows = self.measurements_of(request, asked.asset)
-        columns = {frozenset(columns_of(row.summary)) for row in rows}
-        if len(columns) == 1 and self.may_remember(asked, request):
-            asked, request = self.with_remembered(asked, request, columns.pop())
-        return rows, asked, request
-
-    def may_remember(self, asked: Asked, request: DiagnosisRequest) -> bool:
-        """Return whether a request leaves to its asset which column is which sensor, and something is known of that."""
-        if asked.asset is None or "mapping" in request.model_fields_set:
-            return False
-        return Remembered(self.store.database).has_mappings(asked.asset.external_id)
-
-    def with_remembered(
-        self, asked: Asked, request: DiagnosisRequest, columns: Iterable[str]
-    ) -> tuple[Asked, DiagnosisRequest]:
-        """Return a question and its request with the sensors that the asset's last recording with the columns had."""
-        known = asked.asset and Remembered(self.store.database).mapping(asked.asset.external_id, columns)
-        if not known:
-            return asked, request
-        question = replace(asked.question, mapping=known)
-        return replace(asked, question=question, remembered=True), request.model_copy(update={"mapping": known})
-
-    def measurements_of(self, request: DiagnosisRequest, asset: AssetRow | None) -> list[MeasurementRow]:
-        """Return the measurements that a request names, or those of its asset in a window of time.
-
-        Raises
-        ------
-        UnknownMeasurementError
-            When one does not exist.
-        BadFieldError
-            When the request names them in no way, or in two; or there are none, or too many, in the window.
-        """
-        given = [name for name in ("measurement", "measurements", "since") if getattr(request, name) is not None]
-        if len(given) != 1:
-            said = f"{' and '.join(given) or 'measurement'}: give one of measurement, measurements, or since with asset"
-            raise BadFieldError(said, field=given[-1] if given else "measurement")
-        if request.until is not None and request.since is None:
-            raise BadFieldError("until: needs since", field="until")
-        if request.measurement is not None:
-            return [self.store.measurement(request.measurement)]
-        if request.speed not in (None, ""):
-            raise BadFieldError(f"speed: {request.speed}: is for one measurement alone", field="speed")
-        in_order = () if asset is None else asset.in_order
-        known = {self.store.measurement(key).sha256 for key in in_order}
-        if request.measurements is not None:
-            named = [self.store.measurement(key) for key in request.measurements]
-            for row in named:
-                if row.sha256 in known:
-                    said = f"measurements: {row.id}: is the baseline that the others are compared with"
-                    raise BadFieldError(said, field="measurements")
-            return named
-        if asset is None:
-            raise BadFieldError("since: needs an asset", field="asset")
-        assert request.since is not None
-        window = (request.since, request.until)
-        rows = self.store.measurements_between(measurements_of(asset.external_id), *window, MOST_TOGETHER + 2)
-        # What the others are compared with is no evidence of the present state.
-        rows = [row for row in rows if row.sha256 not in known]
-        if not 1 <= len(rows) <= MOST_TOGETHER:
-            count = len(rows) if len(rows) <= MOST_TOGETHER else f"more than {MOST_TOGETHER}"
-            raise BadFieldError(
-                f"since: {count} measurements of asset {asset.external_id}: must be 1 to {MOST_TOGETHER}", field="since"
-            )
-        return rows
-
-    def about(self, request: DiagnosisRequest) -> Asked:
-        """Return what a request names besides its measurement.
-
-        Raises
-        ------
-        AppError
-            When something of that does not exist, or breaks a rule.
-        """
-        speed = speed_of(request.speed)
-        offer = self.shelf.find(request.catalogue)
-        asset = self.asset_of(request.asset, offer.machine.name)
-        in_order = [] if asset is None else self.baselines_of(asset, request.measurement)
-        baselines = tuple((str(self.store.path_of(row.sha256)), row.name, row.told) for row in in_order)
-        limits_um = {} if asset is None else asset.limits_um
-        mapping, prior = dict(request.mapping), request.prior.model_dump()
-        place = (str(offer.path), offer.stamp)
-        question = tasks.DiagnosisTask(
-            *place, speed, request.effort, request.mode, mapping, prior, baselines, limits_um
-        )
-        return Asked(offer, asset, question, tuple(row.id for row in in_order))
-
     def new_diagnosis(
         self, request: DiagnosisRequest, asked: Asked, result: Diagnosis, columns: Sequence[str], told: Told
     ) -> NewDiagnosis:
@@ -406,33 +285,6 @@ class Service:
         found = (self.machines.find(each) for each in self.machines.names())
         return next((machine for machine in found if machine.name == name), None)
 
-    def asset_of(self, name: str | None, machine: str) -> AssetRow | None:
-        """Return the asset of a name, where one is given.
-
-        Raises
-        ------
-        UnknownAssetError
-            When there is none of this id.
-        BadFieldError
-            When the asset is another machine than the catalogue's.
-        """
-        if name is None:
-            return None
-        found = Assets(self.store.database).asset(name)
-        if found.machine != machine:
-            said = f"asset: {name}: is a {found.machine}; the catalogue is of {machine}"
-            raise BadFieldError(said, field="asset")
-        return found
-
-    def baselines_of(self, asset: AssetRow, measurement: str | None) -> list[MeasurementRow]:
-        """Return the baselines of an asset, without the measurement itself."""
-        rows = [self.store.measurement(key) for key in asset.in_order if key != measurement]
-        own = None
-        if rows and measurement is not None:
-            with suppress(UnknownMeasurementError, DeletedError):  # it is on its way, with this question
-                own = self.store.measurement(measurement).sha256
-        return [row for row in rows if row.sha256 != own]
-
     def announce(
         self, session: Session, diagnosis: str, measurements: Sequence[str], asset: AssetRow | None, result: Diagnosis
     ) -> None:
@@ -442,11 +294,6 @@ class Service:
         told = result.model_dump(mode="json", include={"machine", "verdict", "candidate_set"})
         named = {"diagnosis": diagnosis, "asset": None if asset is None else asset.external_id}
         webhooks.announce(session, "diagnosis.created", {**named, **told})
-
-
-def columns_of(summary: Mapping[str, Any]) -> list[str]:
-    """Return the names of the columns of a recording."""
-    return [channel["name"] for channel in summary["channels"]]
 
 
 def of_request(request: Request) -> Service:

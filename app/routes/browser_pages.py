@@ -110,10 +110,10 @@ def baseline_of(service: Service, offer: Offer, asset: str) -> tuple[str, str, T
     BadFieldError, UnknownAssetError
         For an asset that is none, another machine, or has no baseline.
     """
-    row = service.asset_of(asset or None, offer.machine.name)
+    row = service.questions.asset_of(asset or None, offer.machine.name)
     if row is None:
         return None
-    found = service.baselines_of(row, None)
+    found = service.questions.baselines_of(row, None)
     if not found:
         raise BadFieldError(f"asset: {asset[:80]}: has no baseline", field="asset")
     return str(service.store.path_of(found[0].sha256)), found[0].name, found[0].told

@@ -37,7 +37,8 @@ from jointplay.app.pages.page_forms import (
 from jointplay.app.pages.understood import confirmation
 from jointplay.app.pages.views import view
 from jointplay.app.problems import Problem
-from jointplay.app.service import Service, columns_of, of_request
+from jointplay.app.questions import columns_of
+from jointplay.app.service import Service, of_request
 from jointplay.app.storage.assets import Assets
 from jointplay.app.storage.remembered import Remembered
 from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
@@ -75,7 +76,7 @@ async def upload(request: Request) -> Response:
             if form.file is None:
                 raise BadFieldError("choose a recording", field="file")
             offer = await run_in_threadpool(service.shelf.find, given["catalogue"])
-            await run_in_threadpool(service.asset_of, given.get("asset"), offer.machine.name)
+            await run_in_threadpool(service.questions.asset_of, given.get("asset"), offer.machine.name)
             told = await run_in_threadpool(read_told, given)
             told = await service.recall(form.file, form.file_name, told, given.get("asset"))
             measurement = await service.add_measurement(form.file, form.file_name, told)

@@ -33,13 +33,8 @@ def simulate_once(
 
     Parameters
     ----------
-    catalogue : Catalogue
-    machine : Machine
-        Of the cases.
-    cases : sequence of Entry
-        One at least.
-    progress : callable, optional
-        Called with the number of cases done, where they are simulated.
+    catalogue, machine, cases, progress
+        As there; nothing is called where there is a file.
 
     Returns
     -------

@@ -137,7 +137,7 @@ def test_whoever_may_ask_again_is_told(
     baseline = (("order.csv", "order.csv", Told()),) * baselines
     question = tasks.DiagnosisTask("slider-crank", "", None, effort, "auto", {}, {}, baseline)
     with pytest.raises(TimeLimitError) as caught:
-        asyncio.run(service.answer(tasks.summarise_and_diagnose, "worn.csv", "worn.csv", Told(), question))
+        asyncio.run(service.answer(tasks.summarise_and_diagnose, "worn.csv", "worn.csv", Told(), question=question))
     assert ("ask again, and it goes on" in str(caught.value)) is goes_on
     assert str(caught.value).startswith("stopped after 120 s")
 

@@ -1,0 +1,189 @@
+"""What a request for a diagnosis names: catalogue, asset, baselines, recordings, and what is remembered of sensors."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import Any
+
+from jointplay.app.errors import BadFieldError, DeletedError, UnknownMeasurementError
+from jointplay.app.jobs import tasks
+from jointplay.app.schemas.resources import DiagnosisRequest
+from jointplay.app.shelves.catalogues import CatalogueShelf, Offer
+from jointplay.app.speeds import speed_of
+from jointplay.app.storage.asset_rows import AssetRow
+from jointplay.app.storage.assets import Assets, measurements_of
+from jointplay.app.storage.remembered import Remembered
+from jointplay.app.storage.rows import MeasurementRow
+from jointplay.app.storage.store import Store
+from jointplay.catalogue.diagnosing.question import MOST_TOGETHER
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What a request for a diagnosis names.
+
+    Parameters
+    ----------
+    offer : Offer
+        Its catalogue.
+    asset : AssetRow or None
+        Its asset.
+    question : DiagnosisTask
+        What a worker is told of them.
+    baselines : tuple of str
+        Ids of the recordings of the asset in order that it is compared with.
+    remembered : bool
+        Whether its sensors are those of the asset's last recording with the same columns.
+    """
+
+    offer: Offer
+    asset: AssetRow | None
+    question: tasks.DiagnosisTask
+    baselines: tuple[str, ...] = ()
+    remembered: bool = False
+
+
+@dataclass(frozen=True)
+class Questions:
+    """Finds what requests for diagnoses name, in a store and on a shelf of catalogues.
+
+    Parameters
+    ----------
+    store : Store
+    shelf : CatalogueShelf
+    """
+
+    store: Store
+    shelf: CatalogueShelf
+
+    def about_stored(self, request: DiagnosisRequest) -> tuple[list[MeasurementRow], Asked, DiagnosisRequest]:
+        """Return the measurements that a request names, what else it names, and the request with what is remembered.
+
+        Which column is which sensor is taken from what was said of the asset's last recording with the same columns,
+        where the request does not say it.
+
+        Raises
+        ------
+        AppError
+            When something of that does not exist, or breaks a rule.
+        """
+        asked = self.about(request)
+        rows = self.measurements_of(request, asked.asset)
+        columns = {frozenset(columns_of(row.summary)) for row in rows}
+        if len(columns) == 1 and self.may_remember(asked, request):
+            asked, request = self.with_remembered(asked, request, columns.pop())
+        return rows, asked, request
+
+    def may_remember(self, asked: Asked, request: DiagnosisRequest) -> bool:
+        """Return whether a request leaves to its asset which column is which sensor, and something is known of that."""
+        if asked.asset is None or "mapping" in request.model_fields_set:
+            return False
+        return Remembered(self.store.database).has_mappings(asked.asset.external_id)
+
+    def with_remembered(
+        self, asked: Asked, request: DiagnosisRequest, columns: Iterable[str]
+    ) -> tuple[Asked, DiagnosisRequest]:
+        """Return a question and its request with the sensors that the asset's last recording with the columns had."""
+        known = asked.asset and Remembered(self.store.database).mapping(asked.asset.external_id, columns)
+        if not known:
+            return asked, request
+        question = replace(asked.question, mapping=known)
+        return replace(asked, question=question, remembered=True), request.model_copy(update={"mapping": known})
+
+    def measurements_of(self, request: DiagnosisRequest, asset: AssetRow | None) -> list[MeasurementRow]:
+        """Return the measurements that a request names, or those of its asset in a window of time.
+
+        Raises
+        ------
+        UnknownMeasurementError
+            When one does not exist.
+        BadFieldError
+            When the request names them in no way, or in two; or there are none, or too many, in the window.
+        """
+        given = [name for name in ("measurement", "measurements", "since") if getattr(request, name) is not None]
+        if len(given) != 1:
+            said = f"{' and '.join(given) or 'measurement'}: give one of measurement, measurements, or since with asset"
+            raise BadFieldError(said, field=given[-1] if given else "measurement")
+        if request.until is not None and request.since is None:
+            raise BadFieldError("until: needs since", field="until")
+        if request.measurement is not None:
+            return [self.store.measurement(request.measurement)]
+        if request.speed not in (None, ""):
+            raise BadFieldError(f"speed: {request.speed}: is for one measurement alone", field="speed")
+        in_order = () if asset is None else asset.in_order
+        known = {self.store.measurement(key).sha256 for key in in_order}
+        if request.measurements is not None:
+            named = [self.store.measurement(key) for key in request.measurements]
+            for row in named:
+                if row.sha256 in known:
+                    said = f"measurements: {row.id}: is the baseline that the others are compared with"
+                    raise BadFieldError(said, field="measurements")
+            return named
+        if asset is None:
+            raise BadFieldError("since: needs an asset", field="asset")
+        assert request.since is not None
+        window = (request.since, request.until)
+        rows = self.store.measurements_between(measurements_of(asset.external_id), *window, MOST_TOGETHER + 2)
+        # What the others are compared with is no evidence of the present state.
+        rows = [row for row in rows if row.sha256 not in known]
+        if not 1 <= len(rows) <= MOST_TOGETHER:
+            count = len(rows) if len(rows) <= MOST_TOGETHER else f"more than {MOST_TOGETHER}"
+            raise BadFieldError(
+                f"since: {count} measurements of asset {asset.external_id}: must be 1 to {MOST_TOGETHER}", field="since"
+            )
+        return rows
+
+    def about(self, request: DiagnosisRequest) -> Asked:
+        """Return what a request names besides its measurement.
+
+        Raises
+        ------
+        AppError
+            When something of that does not exist, or breaks a rule.
+        """
+        speed = speed_of(request.speed)
+        offer = self.shelf.find(request.catalogue)
+        asset = self.asset_of(request.asset, offer.machine.name)
+        in_order = [] if asset is None else self.baselines_of(asset, request.measurement)
+        baselines = tuple((str(self.store.path_of(row.sha256)), row.name, row.told) for row in in_order)
+        limits_um = {} if asset is None else asset.limits_um
+        mapping, prior = dict(request.mapping), request.prior.model_dump()
+        place = (str(offer.path), offer.stamp)
+        question = tasks.DiagnosisTask(
+            *place, speed, request.effort, request.mode, mapping, prior, baselines, limits_um
+        )
+        return Asked(offer, asset, question, tuple(row.id for row in in_order))
+
+    def asset_of(self, name: str | None, machine: str) -> AssetRow | None:
+        """Return the asset of a name, where one is given.
+
+        Raises
+        ------
+        UnknownAssetError
+            When there is none of this id.
+        BadFieldError
+            When the asset is another machine than the catalogue's.
+        """
+        if name is None:
+            return None
+        found = Assets(self.store.database).asset(name)
+        if found.machine != machine:
+            said = f"asset: {name}: is a {found.machine}; the catalogue is of {machine}"
+            raise BadFieldError(said, field="asset")
+        return found
+
+    def baselines_of(self, asset: AssetRow, measurement: str | None) -> list[MeasurementRow]:
+        """Return the baselines of an asset, without the measurement itself."""
+        rows = [self.store.measurement(key) for key in asset.in_order if key != measurement]
+        own = None
+        if rows and measurement is not None:
+            with suppress(UnknownMeasurementError, DeletedError):  # it is on its way, with this question
+                own = self.store.measurement(measurement).sha256
+        return [row for row in rows if row.sha256 != own]
+
+
+def columns_of(summary: Mapping[str, Any]) -> list[str]:
+    """Return the names of the columns of a recording."""
+    return [channel["name"] for channel in summary["channels"]]
