@@ -174,7 +174,18 @@ class StorageFullError(AppError):
 
 
 class TimeLimitError(AppError):
-    """A computation took longer than the time limit."""
+    """A computation took longer than the time limit.
+
+    Parameters
+    ----------
+    message : str
+    seconds : int, optional
+        Time until it may be done, where it goes on.
+    """
+
+    def __init__(self, message: str, seconds: int | None = None) -> None:
+        super().__init__(message)
+        self.headers = {} if seconds is None else {"Retry-After": str(seconds)}
 
 
 class WorkerDiedError(AppError):

@@ -24,6 +24,8 @@ from jointplay.app.http.middleware import BodyLimit, RequestLog, SecurityHeaders
 from jointplay.app.http.proxies import Proxies
 from jointplay.app.http.query import refuse_unknown
 from jointplay.app.http.stored import Stored
+from jointplay.app.jobs.answers import Answers
+from jointplay.app.jobs.background import Background
 from jointplay.app.jobs.build_runner import BuildRunner
 from jointplay.app.jobs.build_watch import BuildWatch
 from jointplay.app.jobs.housekeeper import Housekeeper
@@ -109,6 +111,8 @@ def create_app(settings: ServiceSettings | None = None, *, warm: bool = False) -
         store.database.limit_waits()
         log = LogSettings(chosen.log_format, chosen.log_level)
         pool = WorkerPool(chosen.workers, chosen.queue_limit, chosen.time_limit_s, log, metrics)
+        background = Background(chosen.time_limit_s, log)
+        answers = Answers(pool, background, store.uploads, chosen.time_limit_s)
         kept_here = (partial(note_machine, store.database), partial(missing, store.database, "machine"))
         put_there = MachineStore(chosen.data / "machines", *kept_here)
         shelf = CatalogueShelf(chosen.catalogues, partial(missing, store.database, "catalogue"))
@@ -116,7 +120,7 @@ def create_app(settings: ServiceSettings | None = None, *, warm: bool = False) -
         runner = BuildRunner(
             queue, chosen.catalogues, chosen.builds, chosen.build_lease_s, log=log, scheduler=chosen.scheduler
         )
-        service = Service(chosen, store, shelf, pool, put_there, queue, runner, metrics)
+        service = Service(chosen, store, shelf, pool, put_there, queue, runner, metrics, answers)
         metrics.registry.register(State(service))
         metrics.registry.register(Stored(service))
         application.state.service = service
@@ -149,6 +153,7 @@ def create_app(settings: ServiceSettings | None = None, *, warm: bool = False) -
             await run_in_threadpool(sender.close)
             await run_in_threadpool(keeper.close)
             pool.close()
+            await background.close()
             store.close()
 
     # The framework's own documentation pages load scripts from elsewhere; the document itself is at /openapi.json.

@@ -15,9 +15,10 @@ from sqlalchemy.orm import Session
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 
-from jointplay.app.errors import QuotaError, TimeLimitError
+from jointplay.app.errors import QuotaError
 from jointplay.app.figures.pictures import response_picture
 from jointplay.app.jobs import following, forecasts, tasks, virtual
+from jointplay.app.jobs.answers import Answers
 from jointplay.app.jobs.build_orders import machine_of, plan_of
 from jointplay.app.jobs.build_runner import BuildRunner
 from jointplay.app.jobs.samples import StoredRecording
@@ -66,6 +67,7 @@ class Service:
     builds: BuildQueue
     runner: BuildRunner
     metrics: Metrics
+    answers: Answers
     entries: EntryShelf = field(default_factory=EntryShelf)
     forecasts: TTLCache[tuple[Any, ...], dict[str, Any]] = field(
         default_factory=lambda: TTLCache(FORECASTS, FORECAST_S)
@@ -174,12 +176,17 @@ class Service:
         """Diagnose a stored measurement, or several of one machine, in a worker and store the result."""
         rows, asked, request = await run_in_threadpool(self.questions.about_stored, request)
         recordings = [(str(self.store.path_of(row.sha256)), row.name, row.told) for row in rows]
+        ids = [row.id for row in rows]
         result: Diagnosis
         if request.measurement is not None:
-            result = await self.answer(tasks.diagnose, *recordings[0], question=asked.question)
+            result = await self.answers.answer(
+                tasks.diagnose, *recordings[0], question=asked.question, measurements=ids
+            )
         else:
-            result = await self.answer(tasks.diagnose_together, recordings, question=asked.question)
-            request = request.model_copy(update={"measurements": [row.id for row in rows]})
+            result = await self.answers.answer(
+                tasks.diagnose_together, recordings, question=asked.question, measurements=ids
+            )
+            request = request.model_copy(update={"measurements": ids})
         self.metrics.count_diagnosis(result)
         diagnosis = self.new_diagnosis(request, asked, result, columns_of(rows[0].summary), rows[0].told)
         return await run_in_threadpool(self.store.add_diagnosis, diagnosis)
@@ -202,29 +209,18 @@ class Service:
         if asked.asset is not None and await run_in_threadpool(self.questions.may_remember, asked, request):
             read = await self.pool.run(tasks.summarise, *recording)
             asked, request = await run_in_threadpool(self.questions.with_remembered, asked, request, columns_of(read))
-        summary, outcome = await self.answer(tasks.summarise_and_diagnose, *recording, question=asked.question)
+        summary, outcome = await self.answers.answer(
+            tasks.summarise_and_diagnose,
+            *recording,
+            question=asked.question,
+            measurements=[request.measurement or ""],
+            upload=upload,
+        )
         if outcome.problem is not None:
             raise TaskFailedError(outcome.problem)
         self.metrics.count_diagnosis(outcome.value)
         diagnosis = self.new_diagnosis(request, asked, outcome.value, columns_of(summary), told)
         return await run_in_threadpool(self.store.add_both, upload, name, told, summary, diagnosis)
-
-    async def answer(self, task: Callable[..., Any], *recorded: Any, question: tasks.DiagnosisTask) -> Any:
-        """Run a task that diagnoses what was recorded in a worker.
-
-        Raises
-        ------
-        TimeLimitError
-            When it takes too long; says so where the same question asked again goes on from there.
-        """
-        try:
-            return await self.pool.run(task, *recorded, question)
-        except TimeLimitError as error:
-            if question.effort != "thorough" or not question.baselines:
-                raise
-            raise TimeLimitError(
-                f"{error}; what it simulated of this machine is kept: ask again, and it goes on"
-            ) from None
 
     async def forecast(self, wanted: BuildRequest) -> dict[str, Any]:
         """Return what a build would take, by some cases that are tried in a worker; nothing is asked for.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     from jointplay.solver.machines.machine import Machine
     from jointplay.solver.simulation.account import Account
 
+
+Progress = Callable[[int, int], None]
+"""Is told the number of cases done and their total."""
 
 MOST = {"links": 64, "joints": 128, "sensors": 100}
 """Of what a machine may have how much: its check and its account then take some 15 s of a processor."""
@@ -119,6 +122,7 @@ def diagnose(
     name: str,
     told: Told,
     question: DiagnosisTask,
+    progress: Progress | None = None,
 ) -> Diagnosis:
     """Diagnose a recording.
 
@@ -128,23 +132,28 @@ def diagnose(
         As for :func:`summarise`.
     question : DiagnosisTask
         What to compare it with, and how.
+    progress : callable, optional
+        Called with the number of cases done and their total, while some are simulated.
     """
-    return diagnose_measured(read(path, name, told), question)
+    return diagnose_measured(read(path, name, told), question, progress)
 
 
-def diagnose_together(recordings: Sequence[tuple[str, str, Told]], question: DiagnosisTask) -> Diagnosis:
+def diagnose_together(
+    recordings: Sequence[tuple[str, str, Told]], question: DiagnosisTask, progress: Progress | None = None
+) -> Diagnosis:
     """Diagnose several recordings of one machine, each given by path, name and what is told of it."""
     from jointplay.catalogue.diagnosing.together import diagnose_together as ranked
 
     return ranked(
         [read(*each) for each in recordings],
         open_catalogue(question.catalogue, question.stamp),
+        progress=progress,
         **_asked(question),
     )
 
 
 def summarise_and_diagnose(
-    path: str, name: str, told: Told, question: DiagnosisTask
+    path: str, name: str, told: Told, question: DiagnosisTask, progress: Progress | None = None
 ) -> tuple[dict[str, Any], WorkerOutcome]:
     """Do what :func:`summarise` and then :func:`diagnose` do, and read the recording once.
 
@@ -156,15 +165,17 @@ def summarise_and_diagnose(
         The diagnosis, or why there is none.
     """
     measurement = read(path, name, told)
-    return summary_of(measurement, told), attempt(diagnose_measured, (measurement, question))
+    return summary_of(measurement, told), attempt(diagnose_measured, (measurement, question, progress))
 
 
-def diagnose_measured(measurement: Recording | MeasuredSpectrum, question: DiagnosisTask) -> Diagnosis:
+def diagnose_measured(
+    measurement: Recording | MeasuredSpectrum, question: DiagnosisTask, progress: Progress | None = None
+) -> Diagnosis:
     """Diagnose what was read."""
     from jointplay.catalogue.diagnosing.diagnosis import diagnose as ranked
 
     opened = open_catalogue(question.catalogue, question.stamp)
-    return ranked(measurement, opened, speed=question.speed, **_asked(question))
+    return ranked(measurement, opened, speed=question.speed, progress=progress, **_asked(question))
 
 
 def _asked(question: DiagnosisTask) -> dict[str, Any]:

@@ -259,7 +259,7 @@ class WorkerPool:
                 await run_in(worker, task, args)
             self._price = time.perf_counter() - began
         except (TimeoutError, BrokenProcessPool, OSError) as error:
-            log.warning("a new worker could not be made ready: %s", error or type(error).__name__)
+            log.warning("a new worker could not be made ready: %s", str(error) or type(error).__name__)
             end(worker)
         except asyncio.CancelledError:
             end(worker)
@@ -323,7 +323,7 @@ class WorkerPool:
                     await run_in(worker, os.getpid, ())
                 return True
             except (TimeoutError, BrokenProcessPool, OSError) as error:
-                log.warning("a worker does not answer: %s", error or type(error).__name__)
+                log.warning("a worker does not answer: %s", str(error) or type(error).__name__)
                 end(worker)
             except asyncio.CancelledError:
                 end(worker)

@@ -108,6 +108,11 @@ class Uploads:
                 raise
         sync_folder(target.parent)
 
+    def hold(self, upload: Upload) -> Upload:
+        """Return a copy of an upload, to be settled by itself: for work that goes on after its request."""
+        with upload.path.open("rb") as source:
+            return self.receive(source)
+
     def settle(self, upload: Upload) -> None:
         """Delete an upload, unless it became a measurement."""
         upload.path.unlink(missing_ok=True)

@@ -12,6 +12,8 @@ import pytest
 
 from jointplay.app.errors import AppError, BadFieldError, TimeLimitError, UnknownCatalogueError, WorkerDiedError
 from jointplay.app.jobs import tasks
+from jointplay.app.jobs.answers import Answers
+from jointplay.app.jobs.background import Background
 from jointplay.app.jobs.build_runner import BuildRunner
 from jointplay.app.jobs.workers import TaskFailedError, WorkerPool, attempt
 from jointplay.app.metrics import Metrics
@@ -27,7 +29,6 @@ from jointplay.app.storage.remembered import Remembered
 from jointplay.app.storage.rows import DiagnosisRow
 from jointplay.app.storage.store import Store, measurement_key
 from jointplay.app.storage.told import Told
-from jointplay.catalogue.matching.modes import Effort
 from jointplay.catalogue.measurements.measurement import Recording
 
 
@@ -51,7 +52,8 @@ def service_of(shelf: Path, data: Path, pool: Here) -> Service:
     queue = BuildQueue(store.database)
     runner = BuildRunner(queue, shelf, 0, 30.0)
     parts = (CatalogueShelf(shelf), cast(WorkerPool, pool), MachineStore(data / "machines"), queue, runner)
-    return Service(settings, store, *parts, Metrics())
+    answers = Answers(cast(WorkerPool, pool), Background(120.0), store.uploads, 120.0)
+    return Service(settings, store, *parts, Metrics(), answers)
 
 
 def ask(service: Service, content: bytes, **members: Any) -> DiagnosisRow:
@@ -125,21 +127,6 @@ def test_a_recording_goes_when_its_diagnosis_fails(shelf: Path, tmp_path: Path, 
         ask(service, worn)
     assert pool.asked == ["summarise_and_diagnose"]
     assert kept(service) == 0
-
-
-@pytest.mark.parametrize(
-    ("effort", "baselines", "goes_on"), [("thorough", 1, True), ("thorough", 0, False), ("fast", 1, False)]
-)
-def test_whoever_may_ask_again_is_told(
-    shelf: Path, tmp_path: Path, effort: Effort, baselines: int, goes_on: bool
-) -> None:
-    service = service_of(shelf, tmp_path, Here(TimeLimitError("stopped after 120 s")))
-    baseline = (("order.csv", "order.csv", Told()),) * baselines
-    question = tasks.DiagnosisTask("slider-crank", "", None, effort, "auto", {}, {}, baseline)
-    with pytest.raises(TimeLimitError) as caught:
-        asyncio.run(service.answer(tasks.summarise_and_diagnose, "worn.csv", "worn.csv", Told(), question=question))
-    assert ("ask again, and it goes on" in str(caught.value)) is goes_on
-    assert str(caught.value).startswith("stopped after 120 s")
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,256 @@
+"""Answers that take longer than a request may go on behind all others, and are told when they are asked for again."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import re
+import time
+from collections.abc import Callable, Coroutine, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, cast
+
+import pytest
+
+from jointplay.app.errors import TimeLimitError
+from jointplay.app.jobs import background, tasks
+from jointplay.app.jobs.answers import Answers
+from jointplay.app.jobs.background import Background
+from jointplay.app.jobs.workers import TaskFailedError, WorkerOutcome, WorkerPool
+from jointplay.app.problems import problem_of
+from jointplay.app.storage.store import Store
+from jointplay.app.storage.told import Told
+from jointplay.app.storage.uploads import Upload
+from jointplay.catalogue.errors import CatalogueFileError, DiagnosisError
+
+Progress = Callable[[int, int], None]
+
+
+def work(folder: Path, progress: Progress) -> str:
+    """Note that it began, tell how far it is, and wait to be let go."""
+    with (folder / "begun").open("a") as file:
+        print(os.getpid(), os.nice(0), file=file)
+    progress(768, 9216)
+    while not (folder / "go").exists():
+        time.sleep(0.01)
+    return str(folder)
+
+
+def refuse(folder: Path, progress: Progress) -> None:
+    raise DiagnosisError("worn.csv: no column is a sensor")
+
+
+def fail(folder: Path, progress: Progress) -> None:
+    raise CatalogueFileError("entries.h5", "cannot be read")
+
+
+def begun(folder: Path) -> list[list[str]]:
+    """Process and niceness of everything that began."""
+    file = folder / "begun"
+    return [line.split() for line in file.read_text().splitlines()] if file.exists() else []
+
+
+async def came_to(behind: Background, key: str) -> Any:
+    made = await behind.wait(key, 120.0)
+    assert made is not None
+    return made.result()
+
+
+async def until(reached: Callable[[], bool]) -> None:
+    for _ in range(6000):
+        if reached():
+            return
+        await asyncio.sleep(0.02)
+    raise AssertionError("it took too long")
+
+
+def run(story: Callable[[Background], Coroutine[Any, Any, None]], time_limit: float = 300.0) -> None:
+    async def whole() -> None:
+        behind = Background(time_limit)
+        try:
+            await story(behind)
+        finally:
+            await behind.close()
+
+    asyncio.run(whole())
+
+
+def test_one_after_the_other_behind_all_others(tmp_path: Path) -> None:
+    ended: list[str] = []
+    folders = {key: tmp_path / key for key in ("first", "second")}
+    for folder in folders.values():
+        folder.mkdir()
+
+    async def story(behind: Background) -> None:
+        for key, folder in folders.items():
+            assert behind.go_on(key, work, (folder,), lambda key=key: ended.append(key))  # type: ignore[misc]
+        assert behind.go_on("first", work, (tmp_path,), lambda: ended.append("again")), "it is worked at already"
+        assert ended == ["again"]
+        await until(lambda: behind.say("first") == "768 of 9216 cases of this machine are simulated")
+        assert behind.say("second") == "others are before it"
+        assert not begun(folders["second"])
+        assert await behind.wait("first", 0.05) is None
+        assert behind.is_at_work("first")
+        (folders["first"] / "go").touch()
+        await until(lambda: behind.say("second").startswith("768 of"))
+        (folders["second"] / "go").touch()
+        assert await came_to(behind, "second") == str(folders["second"])
+        assert await came_to(behind, "first") == str(folders["first"]), "it is kept for whoever asks again"
+        assert not behind.is_at_work("first")
+
+    run(story)
+    assert ended == ["again", "first", "second"]
+    ((process, nice),), second = begun(folders["first"]), begun(folders["second"])
+    assert second == [[process, nice]], "one process does it all"
+    assert int(nice) == min(19, os.nice(0) + background.NICE)
+    assert int(process) != os.getpid()
+
+
+def test_too_many_are_not_begun(tmp_path: Path) -> None:
+    ended: list[str] = []
+
+    async def story(behind: Background) -> None:
+        assert all(behind.go_on(str(number), work, (tmp_path,)) for number in range(background.MOST))
+        assert not behind.go_on("one more", work, (tmp_path,), lambda: ended.append("one more"))
+        assert ended == ["one more"], "what it held is let go"
+        assert not behind.is_at_work("one more")
+
+    run(story)
+
+
+def test_a_refusal_is_told_to_whoever_asks_again(tmp_path: Path) -> None:
+    async def story(behind: Background) -> None:
+        behind.go_on("refused", refuse, (tmp_path,))
+        with pytest.raises(TaskFailedError, match="no column is a sensor"):
+            await came_to(behind, "refused")
+
+    run(story)
+
+
+@pytest.mark.parametrize(
+    ("task", "time_limit", "said"), [(fail, 300.0, r"entries\.h5: cannot be read"), (work, 0.5, "TimeoutError")]
+)
+def test_what_ends_badly_is_logged_and_begun_anew(
+    tmp_path: Path,
+    task: Callable[..., Any],
+    time_limit: float,
+    said: str,
+    caplog: pytest.LogCaptureFixture,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(background, "LIMITS", 1.0)
+
+    async def story(behind: Background) -> None:
+        for _ in range(2):
+            assert behind.go_on("bad", task, (tmp_path,))
+            assert await behind.wait("bad", 120.0) is None
+            assert not behind.is_at_work("bad")
+
+    run(story, time_limit)
+    assert len(re.findall(f"is not gone on with: .*{said}", caplog.text)) == 2
+
+
+class Pool:
+    """Takes too long, until it is told otherwise."""
+
+    def __init__(self) -> None:
+        self.in_time = False
+        self.asked = 0
+
+    async def run(self, task: Callable[..., Any], *args: Any) -> str:
+        self.asked += 1
+        if not self.in_time:
+            raise TimeLimitError("stopped after 120 s, the time limit of this service")
+        return "answered"
+
+
+class Behind(Background):
+    """Notes what it is to go on with, and does nothing."""
+
+    def __init__(self) -> None:
+        super().__init__(120.0)
+        self.asked: list[tuple[str, Callable[..., Any], Sequence[Any], Callable[[], None]]] = []
+        self.has_place = True
+        self.at_work: set[str] = set()
+        self.made: dict[str, WorkerOutcome] = {}
+
+    def go_on(
+        self, key: str, task: Callable[..., Any], args: Sequence[Any], done: Callable[[], None] = lambda: None
+    ) -> bool:
+        self.asked.append((key, task, args, done))
+        self.at_work |= {key} if self.has_place else set()
+        return self.has_place
+
+    async def wait(self, key: str, seconds: float) -> WorkerOutcome | None:
+        assert seconds == 60.0, "the other half of two limits is for the answer itself"
+        return self.made.get(key)
+
+    def is_at_work(self, key: str) -> bool:
+        return key in self.at_work
+
+
+BASELINE = ("order.csv", "order.csv", Told())
+THOROUGH = tasks.DiagnosisTask("slider-crank", "", None, "thorough", "auto", {}, {}, (BASELINE,))
+WORN = ("worn.csv", "worn.csv", Told())
+
+
+def answers(data: Path) -> tuple[Answers, Pool, Behind]:
+    pool, behind = Pool(), Behind()
+    return Answers(cast(WorkerPool, pool), behind, Store(data).uploads, 120.0), pool, behind
+
+
+def refusal(made: Answers, question: tasks.DiagnosisTask = THOROUGH, **also: Any) -> TimeLimitError:
+    task = tasks.summarise_and_diagnose if also else tasks.diagnose
+    with pytest.raises(TimeLimitError) as caught:
+        asyncio.run(made.answer(task, *WORN, question=question, measurements=["m1"], **also))
+    return caught.value
+
+
+def test_it_goes_on_and_is_answered_when_asked_again(tmp_path: Path) -> None:
+    made, pool, behind = answers(tmp_path)
+    told = problem_of(refusal(made))
+    assert (told.status, told.headers["Retry-After"]) == (504, "120")
+    assert told.detail.startswith("stopped after 120 s, the time limit of this service; it goes on in the background")
+    assert [each[1:3] for each in behind.asked] == [(tasks.diagnose, (*WORN, THOROUGH))]
+    assert str(refusal(made)).startswith("it takes longer than a request may; it goes on in the background")
+    assert (pool.asked, len(behind.asked)) == (1, 1), "no worker does what is done already"
+    behind.made[behind.at_work.pop()] = WorkerOutcome("made meanwhile")
+    assert asyncio.run(made.answer(tasks.diagnose, *WORN, question=THOROUGH, measurements=["m1"])) == "made meanwhile"
+    assert pool.asked == 1
+
+
+def test_other_questions_do_not_wait_for_it(tmp_path: Path) -> None:
+    made, pool, _ = answers(tmp_path)
+    refusal(made)
+    pool.in_time = True
+    for question, measurement in ((THOROUGH, "m2"), (replace(THOROUGH, speed=3.0), "m1")):
+        said = asyncio.run(made.answer(tasks.diagnose, *WORN, question=question, measurements=[measurement]))
+        assert said == "answered"
+
+
+def test_what_lies_only_as_long_as_its_request_is_held(tmp_path: Path) -> None:
+    made, _, behind = answers(tmp_path)
+    file = tmp_path / "partial-1"
+    file.write_bytes(b"t,ax\n")
+    refusal(made, upload=Upload(file, "", 5))
+    ((_, task, (held, *told), done),) = behind.asked
+    assert (task, told) == (tasks.summarise_and_diagnose, [*WORN[1:], THOROUGH])
+    assert held != str(file)
+    assert Path(held).read_bytes() == b"t,ax\n"
+    done()
+    assert not Path(held).exists()
+    assert file.exists(), "whoever sent it settles it"
+
+
+def test_where_too_many_wait_and_of_what_takes_seconds_nothing_goes_on(tmp_path: Path) -> None:
+    made, pool, behind = answers(tmp_path)
+    fast = replace(THOROUGH, effort="fast")
+    assert str(refusal(made, fast)) == "stopped after 120 s, the time limit of this service"
+    assert not behind.asked
+    behind.has_place = False
+    for _ in range(2):
+        said = refusal(made)
+        assert str(said) == "stopped after 120 s, the time limit of this service"
+        assert "Retry-After" not in said.headers
+    assert pool.asked == 3
