@@ -30,8 +30,8 @@ DESCRIPTIONS = {
     422: "The content breaks a rule; the detail names file, field, value and rule.",
     500: "The service failed.",
     503: "All workers are busy, or the database does not answer; Retry-After says when to try again.",
-    504: "The computation took longer than the limit of the service; where it goes on in the background, the detail says"
-    " how far it is, and Retry-After when to ask again.",
+    504: "The computation took longer than the limit of the service; where it goes on in the background, the detail"
+    " says how far it is, and Retry-After when to ask again.",
     507: "A disk of the service is full, or a quota is used up; nothing was stored.",
 }
 SCHEMES = {
