@@ -22,7 +22,7 @@ from jointplay.app.jobs.answers import Answers
 from jointplay.app.jobs.build_orders import machine_of, plan_of
 from jointplay.app.jobs.build_runner import BuildRunner
 from jointplay.app.jobs.samples import StoredRecording
-from jointplay.app.jobs.workers import TaskFailedError, WorkerPool
+from jointplay.app.jobs.workers import WorkerPool
 from jointplay.app.metrics import Metrics
 from jointplay.app.questions import Asked, Questions, columns_of
 from jointplay.app.schemas.builds import BuildRequest
@@ -209,17 +209,15 @@ class Service:
         if asked.asset is not None and await run_in_threadpool(self.questions.may_remember, asked, request):
             read = await self.pool.run(tasks.summarise, *recording)
             asked, request = await run_in_threadpool(self.questions.with_remembered, asked, request, columns_of(read))
-        summary, outcome = await self.answers.answer(
+        summary, result = await self.answers.answer(
             tasks.summarise_and_diagnose,
             *recording,
             question=asked.question,
             measurements=[request.measurement or ""],
             upload=upload,
         )
-        if outcome.problem is not None:
-            raise TaskFailedError(outcome.problem)
-        self.metrics.count_diagnosis(outcome.value)
-        diagnosis = self.new_diagnosis(request, asked, outcome.value, columns_of(summary), told)
+        self.metrics.count_diagnosis(result)
+        diagnosis = self.new_diagnosis(request, asked, result, columns_of(summary), told)
         return await run_in_threadpool(self.store.add_both, upload, name, told, summary, diagnosis)
 
     async def forecast(self, wanted: BuildRequest) -> dict[str, Any]:

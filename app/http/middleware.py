@@ -244,7 +244,8 @@ class State(Collector):
 
     def _memory(self) -> Metric:
         family = GaugeMetricFamily("jointplay_memory_bytes", "Resident memory of a process.", labels=["process"])
-        for name, pid in (("server", None), *self._service.pool.processes()):
+        service = self._service
+        for name, pid in (("server", None), *service.pool.processes(), *service.answers.background.processes()):
             try:
                 family.add_metric([name], psutil.Process(pid).memory_info().rss)
             except psutil.Error:  # it ended just now

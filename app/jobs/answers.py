@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -63,15 +64,17 @@ class Answers:
         TimeLimitError
             When it takes too long; says so where it goes on, and how far it is.
         """
-        key = repr((list(measurements), question))
-        made = await self.background.wait(key, WAIT * self.time_limit)
-        if made is not None:
+        said = recorded[1:] if upload else ()
+        key = repr((task.__name__, list(measurements), said, question))
+        if made := await self.background.wait(key, WAIT * self.time_limit):
             return made.result()
         if self.background.is_at_work(key):
             raise self._asked_too_early("it takes longer than a request may", key)
         try:
             return await self.pool.run(task, *recorded, question)
         except TimeLimitError as error:
+            if made := await self.background.wait(key, 0.0):  # by the same request, a little earlier
+                return made.result()
             # All others take seconds, or something is wrong with what they are about.
             if question.effort != "thorough" or not await self._go_on(key, task, (*recorded, question), upload):
                 raise
@@ -87,4 +90,4 @@ class Answers:
 
     def _asked_too_early(self, why: str, key: str) -> TimeLimitError:
         said = f"{why}; it goes on in the background, ask again later: {self.background.say(key)}"
-        return TimeLimitError(said, seconds=round(self.time_limit))
+        return TimeLimitError(said, seconds=math.ceil(self.time_limit))

@@ -13,25 +13,31 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
-from multiprocessing.sharedctypes import SynchronizedArray
+from ctypes import Array, c_longlong
+from http import HTTPStatus
 from typing import Any
 
 from cachetools import TTLCache
 
+from jointplay.app.jobs.clients import client_here
 from jointplay.app.jobs.workers import WorkerOutcome, end, prepare, run_in
 from jointplay.app.logs import DEFAULT_LOG, LogSettings
 from jointplay.catalogue.processes import OneProcess
 
 log = logging.getLogger(__name__)
 
-MOST = 16
-"""Answers that are worked at, or wait for that."""
+MOST, MOST_OF_ONE = 8, 2
+"""Answers that are worked at, or wait for that, and those of one client: the last waits for less than a day, for which
+copies of uploads are left alone."""
 
 KEPT, KEPT_S = 64, 86_400.0
 """Answers that are kept for whoever asks again, and for how long [s]."""
 
 LIMITS = 60.0
 """How many times the limit of one task in a worker an answer may take here: two hours, where that is 120 s."""
+
+UNFIT = HTTPStatus.UNPROCESSABLE_ENTITY
+"""Status of a refusal that stays: what was sent breaks a rule."""
 
 NICE = 10
 """By how much this process stands behind those that answer requests."""
@@ -50,10 +56,11 @@ class Background:
 
     def __init__(self, time_limit: float, log_settings: LogSettings = DEFAULT_LOG) -> None:
         self._limit = LIMITS * time_limit
-        self._counts: SynchronizedArray[int] = multiprocessing.get_context("spawn").Array("q", 2)
+        # Without a lock: a process that is ended while it holds one would never give it back.
+        self._counts = multiprocessing.get_context("spawn").Array("q", 2, lock=False)
         self._process = OneProcess(stand_behind, log_settings, self._counts)
         self._turn = asyncio.Lock()
-        self._at_work: dict[str, asyncio.Task[None]] = {}
+        self._at_work: dict[str, tuple[str, asyncio.Task[None]]] = {}
         self._current = ""
         self._made: TTLCache[str, WorkerOutcome] = TTLCache(KEPT, KEPT_S)
 
@@ -78,11 +85,13 @@ class Background:
         bool
             Whether it is worked at: too many others may be.
         """
-        if key in self._at_work or len(self._at_work) >= MOST:
+        name = client_here().name
+        of_one = sum(client == name for client, _ in self._at_work.values())
+        if key in self._at_work or len(self._at_work) >= MOST or of_one >= MOST_OF_ONE:
             done()
             return key in self._at_work
         working = asyncio.create_task(self._work(key, task, args))
-        self._at_work[key] = working
+        self._at_work[key] = name, working
 
         def end_of(_: asyncio.Task[None]) -> None:
             del self._at_work[key]
@@ -93,7 +102,8 @@ class Background:
 
     async def wait(self, key: str, seconds: float) -> WorkerOutcome | None:
         """Return what came of an answer; wait for it, where it is worked at, for so long [s] at most."""
-        if working := self._at_work.get(key):
+        if key in self._at_work:
+            _, working = self._at_work[key]
             await asyncio.wait([working], timeout=seconds)
         return self._made.get(key)
 
@@ -105,7 +115,7 @@ class Background:
         """Say in a few words how far the work at an answer is."""
         if self._current not in ("", key):
             return "others are before it"
-        done, total = self._counts[:]
+        done, total = self._counts if self._current else (0, 0)
         return f"{done} of {total} cases of this machine are simulated" if total else "it has begun"
 
     async def _work(self, key: str, task: Callable[..., Any], args: Sequence[Any]) -> None:
@@ -114,10 +124,10 @@ class Background:
             try:
                 async with asyncio.timeout(self._limit):
                     outcome = await run_in(self._process, tell_progress, (task, args))
-                if outcome.kind == "failed":  # whoever asks again makes it fail again, or not
-                    log.warning("an answer is not gone on with: %s", outcome.problem and outcome.problem.detail)
-                else:
+                if outcome.problem is None or outcome.problem.status == UNFIT:
                     self._made[key] = outcome
+                else:  # a disk that is full, a file that is missing: it may be mended when it is asked again
+                    log.warning("an answer is not gone on with: %s", outcome.problem.detail)
             except (TimeoutError, BrokenProcessPool, OSError) as error:
                 log.warning("an answer is not gone on with: %s", str(error) or type(error).__name__)
                 end(self._process)
@@ -127,9 +137,13 @@ class Background:
             finally:
                 self._current = ""
 
+    def processes(self) -> list[tuple[str, int]]:
+        """Return name and id of the process, where it was started."""
+        return [] if self._process.pid is None else [("background", self._process.pid)]
+
     async def close(self) -> None:
         """End the work, and the process."""
-        working = list(self._at_work.values())
+        working = [task for _, task in self._at_work.values()]
         for task in working:
             task.cancel()
         with suppress(asyncio.CancelledError):
@@ -137,11 +151,11 @@ class Background:
         end(self._process)
 
 
-_counts: SynchronizedArray[int] | None = None
+_counts: Array[c_longlong] | None = None
 """In the process behind: cases done, and their total, seen by who started it."""
 
 
-def stand_behind(log_settings: LogSettings, counts: SynchronizedArray[int]) -> None:
+def stand_behind(log_settings: LogSettings, counts: Array[c_longlong]) -> None:
     """Set the process up, behind all others."""
     global _counts
     _counts = counts
@@ -157,4 +171,4 @@ def tell_progress(task: Callable[..., Any], args: Sequence[Any]) -> Any:
 
 def _tell(done: int, total: int) -> None:
     if _counts is not None:
-        _counts[:] = (done, total)
+        _counts[:] = [done, total]

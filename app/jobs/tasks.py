@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 from jointplay.app.jobs.samples import StoredRecording, keep, read
 from jointplay.app.jobs.summaries import summary_of
-from jointplay.app.jobs.workers import WorkerOutcome, attempt
 from jointplay.app.problems import Problem, problem_of
 from jointplay.app.storage.recording_files import read_bytes
 from jointplay.app.storage.remembered import columns_key
@@ -154,18 +153,10 @@ def diagnose_together(
 
 def summarise_and_diagnose(
     path: str, name: str, told: Told, question: DiagnosisTask, progress: Progress | None = None
-) -> tuple[dict[str, Any], WorkerOutcome]:
-    """Do what :func:`summarise` and then :func:`diagnose` do, and read the recording once.
-
-    Returns
-    -------
-    dict
-        What there is to say about the recording.
-    Outcome
-        The diagnosis, or why there is none.
-    """
+) -> tuple[dict[str, Any], Diagnosis]:
+    """Do what :func:`summarise` and then :func:`diagnose` do, and read the recording once."""
     measurement = read(path, name, told)
-    return summary_of(measurement, told), attempt(diagnose_measured, (measurement, question, progress))
+    return summary_of(measurement, told), diagnose_measured(measurement, question, progress)
 
 
 def diagnose_measured(

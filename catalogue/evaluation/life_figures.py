@@ -290,6 +290,7 @@ def figures_of_lives(lives: Sequence[JudgedLife]) -> tuple[LifeFigure, ...]:
         ("log-loss of P(worn): filter", partial(_loss, "filter")),
         ("log-loss of P(worn): single answer", partial(_loss, "single")),
         ("first sure detection, clearance filter / single, median", ratio_of_detection),
+        ("the same of whoever is sure at the first visit of wear", least_ratio_of_detection),
         ("first sure detection, filter, um, median", partial(_median_detected, "filter")),
         ("first sure detection, single answer, um, median", partial(_median_detected, "single")),
     ):
@@ -335,11 +336,25 @@ def ratio_of_detection(lives: Sequence[JudgedLife]) -> float:
 
     Joints that neither is ever sure of are left out; 0 and infinite count where only one of them is.
     """
-    pairs = zip(detected("filter", lives), detected("single", lives), strict=True)
+    return _ratio(detected("filter", lives), detected("single", lives))
+
+
+def least_ratio_of_detection(lives: Sequence[JudgedLife]) -> float:
+    """Return what that median would be, were the filter sure at the first visit at which a joint is worn at all.
+
+    It cannot be sure before. The smaller the wear that single answers are sure of, and the fewer the visits, the nearer
+    it is to one; joints of which they never are count 0.
+    """
+    first = [float(true[0]) for life in lives for _, true in life.growing["single"]]
+    return _ratio(first, detected("single", lives))
+
+
+def _ratio(clearances: Sequence[float], alone: Sequence[float]) -> float:
+    """The median of ratios; of joints of which nothing is ever sure there are none."""
     ratios = [
-        0.0 if math.isinf(alone) else by_filter / alone
-        for by_filter, alone in pairs
-        if not (math.isinf(by_filter) and math.isinf(alone))
+        0.0 if math.isinf(single) else clearance / single
+        for clearance, single in zip(clearances, alone, strict=True)
+        if not (math.isinf(clearance) and math.isinf(single))
     ]
     return float(np.median(ratios)) if ratios else math.nan
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import re
+import signal
 import time
 from collections.abc import Callable, Coroutine, Sequence
 from dataclasses import replace
@@ -13,10 +14,11 @@ from typing import Any, cast
 
 import pytest
 
-from jointplay.app.errors import TimeLimitError
+from jointplay.app.errors import RecordingMissingError, TimeLimitError
 from jointplay.app.jobs import background, tasks
 from jointplay.app.jobs.answers import Answers
 from jointplay.app.jobs.background import Background
+from jointplay.app.jobs.clients import Client, working_for
 from jointplay.app.jobs.workers import TaskFailedError, WorkerOutcome, WorkerPool
 from jointplay.app.problems import problem_of
 from jointplay.app.storage.store import Store
@@ -27,11 +29,16 @@ from jointplay.catalogue.errors import CatalogueFileError, DiagnosisError
 Progress = Callable[[int, int], None]
 
 
+def total_of(folder: Path) -> int:
+    """Another number for each answer."""
+    return 9216 + len(folder.name)
+
+
 def work(folder: Path, progress: Progress) -> str:
     """Note that it began, tell how far it is, and wait to be let go."""
     with (folder / "begun").open("a") as file:
         print(os.getpid(), os.nice(0), file=file)
-    progress(768, 9216)
+    progress(768, total_of(folder))
     while not (folder / "go").exists():
         time.sleep(0.01)
     return str(folder)
@@ -43,6 +50,10 @@ def refuse(folder: Path, progress: Progress) -> None:
 
 def fail(folder: Path, progress: Progress) -> None:
     raise CatalogueFileError("entries.h5", "cannot be read")
+
+
+def lack(folder: Path, progress: Progress) -> None:
+    raise RecordingMissingError("recording worn.csv: its file is missing")
 
 
 def begun(folder: Path) -> list[list[str]]:
@@ -85,15 +96,16 @@ def test_one_after_the_other_behind_all_others(tmp_path: Path) -> None:
     async def story(behind: Background) -> None:
         for key, folder in folders.items():
             assert behind.go_on(key, work, (folder,), lambda key=key: ended.append(key))  # type: ignore[misc]
+            assert behind.say(key) == "it has begun"
         assert behind.go_on("first", work, (tmp_path,), lambda: ended.append("again")), "it is worked at already"
         assert ended == ["again"]
-        await until(lambda: behind.say("first") == "768 of 9216 cases of this machine are simulated")
+        await until(lambda: behind.say("first") == "768 of 9221 cases of this machine are simulated")
         assert behind.say("second") == "others are before it"
         assert not begun(folders["second"])
         assert await behind.wait("first", 0.05) is None
         assert behind.is_at_work("first")
         (folders["first"] / "go").touch()
-        await until(lambda: behind.say("second").startswith("768 of"))
+        await until(lambda: behind.say("second") == "768 of 9222 cases of this machine are simulated")
         (folders["second"] / "go").touch()
         assert await came_to(behind, "second") == str(folders["second"])
         assert await came_to(behind, "first") == str(folders["first"]), "it is kept for whoever asks again"
@@ -107,16 +119,26 @@ def test_one_after_the_other_behind_all_others(tmp_path: Path) -> None:
     assert int(process) != os.getpid()
 
 
-def test_too_many_are_not_begun(tmp_path: Path) -> None:
+def test_too_many_are_not_begun_and_all_are_let_go_at_the_end(tmp_path: Path) -> None:
     ended: list[str] = []
 
+    def go_on(behind: Background, key: str, client: str) -> bool:
+        with working_for(Client(client)):
+            return behind.go_on(key, work, (tmp_path,), lambda: ended.append(key))
+
     async def story(behind: Background) -> None:
-        assert all(behind.go_on(str(number), work, (tmp_path,)) for number in range(background.MOST))
-        assert not behind.go_on("one more", work, (tmp_path,), lambda: ended.append("one more"))
-        assert ended == ["one more"], "what it held is let go"
-        assert not behind.is_at_work("one more")
+        places = [(f"{client} {number}", client) for client in "abcd" for number in range(background.MOST_OF_ONE)]
+        assert len(places) == background.MOST
+        assert all(go_on(behind, key, client) for key, client in places[:-1])
+        assert not go_on(behind, "a 3", "a"), "others have places, too"
+        assert go_on(behind, *places[-1])
+        assert not go_on(behind, "e 1", "e")
+        assert not behind.is_at_work("e 1")
+        assert ended == ["a 3", "e 1"], "what they held is let go"
 
     run(story)
+    assert len(ended) == background.MOST + 2
+    assert ended.count("a 0") == 1
 
 
 def test_a_refusal_is_told_to_whoever_asks_again(tmp_path: Path) -> None:
@@ -128,27 +150,48 @@ def test_a_refusal_is_told_to_whoever_asks_again(tmp_path: Path) -> None:
     run(story)
 
 
-@pytest.mark.parametrize(
-    ("task", "time_limit", "said"), [(fail, 300.0, r"entries\.h5: cannot be read"), (work, 0.5, "TimeoutError")]
-)
-def test_what_ends_badly_is_logged_and_begun_anew(
-    tmp_path: Path,
-    task: Callable[..., Any],
-    time_limit: float,
-    said: str,
-    caplog: pytest.LogCaptureFixture,
-    monkeypatch: pytest.MonkeyPatch,
+@pytest.mark.parametrize(("task", "said"), [(fail, r"entries\.h5: cannot be read"), (lack, r"worn\.csv.* is missing")])
+def test_what_may_be_mended_is_logged_and_begun_anew(
+    tmp_path: Path, task: Callable[..., Any], said: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(background, "LIMITS", 1.0)
-
     async def story(behind: Background) -> None:
         for _ in range(2):
             assert behind.go_on("bad", task, (tmp_path,))
             assert await behind.wait("bad", 120.0) is None
             assert not behind.is_at_work("bad")
 
-    run(story, time_limit)
+    run(story)
     assert len(re.findall(f"is not gone on with: .*{said}", caplog.text)) == 2
+
+
+def test_after_one_that_was_killed_the_next_has_a_process_of_its_own(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def story(behind: Background) -> None:
+        behind.go_on("killed", work, (tmp_path,))
+        await until(lambda: behind.say("killed").startswith("768 of"))
+        ((_, killed),) = behind.processes()
+        os.kill(killed, signal.SIGKILL)
+        assert await behind.wait("killed", 120.0) is None
+        behind.go_on("next", work, (tmp_path,))
+        assert behind.say("next") == "it has begun", "not what the other left"
+        await until(lambda: behind.say("next").startswith("768 of"))
+
+    run(story)
+    (killed, _), (later, _) = begun(tmp_path)
+    assert killed != later
+    assert len(re.findall("is not gone on with", caplog.text)) == 1
+
+
+def test_what_takes_too_long_is_ended(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    async def story(behind: Background) -> None:
+        for key in ("first", "second"):
+            behind.go_on(key, work, (tmp_path,))
+            assert await behind.wait(key, 120.0) is None
+            assert not behind.processes()
+
+    run(story, time_limit=0.5 / background.LIMITS)
+    assert len(re.findall("is not gone on with: TimeoutError", caplog.text)) == 2
 
 
 class Pool:
@@ -183,7 +226,7 @@ class Behind(Background):
         return self.has_place
 
     async def wait(self, key: str, seconds: float) -> WorkerOutcome | None:
-        assert seconds == 60.0, "the other half of two limits is for the answer itself"
+        assert seconds in (60.0, 0.0), "the other half of two limits is for the answer itself"
         return self.made.get(key)
 
     def is_at_work(self, key: str) -> bool:
@@ -220,13 +263,38 @@ def test_it_goes_on_and_is_answered_when_asked_again(tmp_path: Path) -> None:
     assert pool.asked == 1
 
 
-def test_other_questions_do_not_wait_for_it(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("task", "question", "measurement"),
+    [
+        (tasks.diagnose, THOROUGH, "m2"),
+        (tasks.diagnose, replace(THOROUGH, speed=3.0), "m1"),
+        (tasks.diagnose_together, THOROUGH, "m1"),
+        (tasks.summarise_and_diagnose, THOROUGH, "m1"),
+    ],
+)
+def test_other_questions_do_not_wait_for_it(
+    tmp_path: Path, task: Callable[..., Any], question: tasks.DiagnosisTask, measurement: str
+) -> None:
     made, pool, _ = answers(tmp_path)
     refusal(made)
     pool.in_time = True
-    for question, measurement in ((THOROUGH, "m2"), (replace(THOROUGH, speed=3.0), "m1")):
-        said = asyncio.run(made.answer(tasks.diagnose, *WORN, question=question, measurements=[measurement]))
-        assert said == "answered"
+    said = asyncio.run(made.answer(task, *WORN, question=question, measurements=[measurement]))
+    assert said == "answered"
+
+
+def test_what_was_made_while_a_worker_was_at_it_is_answered(tmp_path: Path) -> None:
+    made, pool, behind = answers(tmp_path)
+    refusal(made)
+    (key,) = behind.at_work
+
+    async def run_long(task: Callable[..., Any], *args: Any) -> str:
+        behind.made[key] = WorkerOutcome("made meanwhile")
+        raise TimeLimitError("stopped")
+
+    behind.at_work.clear()
+    pool.run = run_long  # type: ignore[method-assign]
+    assert asyncio.run(made.answer(tasks.diagnose, *WORN, question=THOROUGH, measurements=["m1"])) == "made meanwhile"
+    assert len(behind.asked) == 1
 
 
 def test_what_lies_only_as_long_as_its_request_is_held(tmp_path: Path) -> None:

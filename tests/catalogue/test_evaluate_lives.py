@@ -22,6 +22,7 @@ from jointplay.catalogue.evaluation.life_figures import (
     detected,
     figures_of_lives,
     judge_life,
+    least_ratio_of_detection,
     ratio_of_detection,
 )
 from jointplay.catalogue.evaluation.lives import LAWS, VISITS, draw_life, evaluate_lives
@@ -129,9 +130,11 @@ def test_first_sure_detection_is_compared_at_equal_false_alarms() -> None:
     assert detected("filter", [one]) == [2e-4]
     assert detected("single", [one]) == [4e-4]
     assert ratio_of_detection([one]) == pytest.approx(0.5)
+    assert least_ratio_of_detection([one]) == pytest.approx(0.25)
     never = judged_of(calm, {"filter": [0.5], "single": [0.5]}, [1e-4])
     assert math.isnan(ratio_of_detection([never]))
     assert ratio_of_detection([one, never]) == pytest.approx(0.5)
+    assert least_ratio_of_detection([never]) == 0.0, "a single answer is never sure of it"
 
 
 def test_intervals_are_over_lives() -> None:
