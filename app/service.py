@@ -177,15 +177,10 @@ class Service:
         rows, asked, request = await run_in_threadpool(self.questions.about_stored, request)
         recordings = [(str(self.store.path_of(row.sha256)), row.name, row.told) for row in rows]
         ids = [row.id for row in rows]
-        result: Diagnosis
-        if request.measurement is not None:
-            result = await self.answers.answer(
-                tasks.diagnose, *recordings[0], question=asked.question, measurements=ids
-            )
-        else:
-            result = await self.answers.answer(
-                tasks.diagnose_together, recordings, question=asked.question, measurements=ids
-            )
+        one = request.measurement is not None
+        task, recorded = (tasks.diagnose, recordings[0]) if one else (tasks.diagnose_together, (recordings,))
+        result: Diagnosis = await self.answers.answer(task, *recorded, question=asked.question, measurements=ids)
+        if not one:
             request = request.model_copy(update={"measurements": ids})
         self.metrics.count_diagnosis(result)
         diagnosis = self.new_diagnosis(request, asked, result, columns_of(rows[0].summary), rows[0].told)

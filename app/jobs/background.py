@@ -12,7 +12,6 @@ import multiprocessing
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import suppress
 from ctypes import Array, c_longlong
 from http import HTTPStatus
 from typing import Any
@@ -27,8 +26,8 @@ from jointplay.catalogue.processes import OneProcess
 log = logging.getLogger(__name__)
 
 MOST, MOST_OF_ONE = 8, 2
-"""Answers that are worked at, or wait for that, and those of one client: the last waits for less than a day, for which
-copies of uploads are left alone."""
+"""Answers that are worked at, or wait for that, and those of one client: with the usual limit of time the last waits
+for less than a day, for which copies of uploads are left alone."""
 
 KEPT, KEPT_S = 64, 86_400.0
 """Answers that are kept for whoever asks again, and for how long [s]."""
@@ -146,8 +145,7 @@ class Background:
         working = [task for _, task in self._at_work.values()]
         for task in working:
             task.cancel()
-        with suppress(asyncio.CancelledError):
-            await asyncio.gather(*working, return_exceptions=True)
+        await asyncio.gather(*working, return_exceptions=True)
         end(self._process)
 
 
