@@ -82,7 +82,7 @@ def repeat_newest(settings: ServiceSettings, store: Store, count: int) -> Iterat
 
     That something was deleted, or a catalogue has grown, is nothing wrong.
     """
-    from jointplay.app.jobs.verification import check, repeated_here
+    from jointplay.app.jobs.verification import check, repeat
     from jointplay.app.shelves.catalogues import CatalogueShelf
     from jointplay.app.speeds import speed_of
     from jointplay.app.storage.tombstones import missing
@@ -94,7 +94,7 @@ def repeat_newest(settings: ServiceSettings, store: Store, count: int) -> Iterat
         if found.again is None:
             said = f"diagnosis {row.id}: cannot be repeated: {found.said}"
             return "not_repeated", said if found.is_damaged else ""
-        again = repeated_here(found.again)
+        again = repeat(found.again.then, found.again.recordings, found.again.question)
         if again.outcome in ("equal", "rounding"):
             return "repeated", ""
         if again.outcome == "not_repeated":

@@ -21,7 +21,7 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Match, Mount
 from starlette.types import Scope
 
-from jointplay.app.errors import AppError, BadFieldError, BadRequestError
+from jointplay.app.errors import AppError, BadFieldError, BadRequestError, TimeLimitError
 from jointplay.app.jobs.workers import TaskFailedError
 from jointplay.app.problems import MEDIA_TYPE, PLAIN_TYPE, Problem, of_status, of_validation, problem_of
 from jointplay.app.rows import show_unit
@@ -134,7 +134,8 @@ async def handle(request: Request, error: Exception) -> Response:
         problem = replace(problem, headers={**problem.headers, "Allow": ", ".join(find_methods(request))})
     if problem.status >= 500:
         known = isinstance(error, AppError) and problem.status != 500
-        log.error("%s", problem.detail, exc_info=None if known else error)
+        level = logging.INFO if isinstance(error, TimeLimitError) and error.goes_on else logging.ERROR
+        log.log(level, "%s", problem.detail, exc_info=None if known else error)
     return answer(request, problem)
 
 

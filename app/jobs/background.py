@@ -13,13 +13,14 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from ctypes import Array, c_longlong
+from functools import partial, wraps
 from http import HTTPStatus
 from typing import Any
 
 from cachetools import TTLCache
 
 from jointplay.app.jobs.clients import client_here
-from jointplay.app.jobs.workers import WorkerOutcome, end, prepare, run_in
+from jointplay.app.jobs.workers import WorkerOutcome, attempt_for, end, prepare, run_in
 from jointplay.app.logs import DEFAULT_LOG, LogSettings
 from jointplay.catalogue.processes import OneProcess
 
@@ -122,11 +123,13 @@ class Background:
             self._current, self._counts[:] = key, (0, 0)
             try:
                 async with asyncio.timeout(self._limit):
-                    outcome = await run_in(self._process, tell_progress, (task, args))
+                    outcome = await run_in(self._process, task, args, attempt_in_sight)
                 if outcome.problem is None or outcome.problem.status == UNFIT:
                     self._made[key] = outcome
                 else:  # a disk that is full, a file that is missing: it may be mended when it is asked again
                     log.warning("an answer is not gone on with: %s", outcome.problem.detail)
+                if len(self._at_work) == 1:  # none waits: to start one takes seconds, this one would keep its memory
+                    end(self._process)
             except (TimeoutError, BrokenProcessPool, OSError) as error:
                 log.warning("an answer is not gone on with: %s", str(error) or type(error).__name__)
                 end(self._process)
@@ -162,9 +165,9 @@ def stand_behind(log_settings: LogSettings, counts: Array[c_longlong]) -> None:
     prepare(log_settings)
 
 
-def tell_progress(task: Callable[..., Any], args: Sequence[Any]) -> Any:
-    """Do a task, and let who started this process see how far it is."""
-    return task(*args, progress=_tell)
+def attempt_in_sight(request: str | None, task: Callable[..., Any], args: Sequence[Any]) -> WorkerOutcome:
+    """Run a task for the request of an id, and let who started this process see how far it is."""
+    return attempt_for(request, wraps(task)(partial(task, progress=_tell)), args)
 
 
 def _tell(done: int, total: int) -> None:

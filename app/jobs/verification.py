@@ -37,6 +37,9 @@ RecordingState = Literal["sound", "damaged", "missing", "deleted"]
 CatalogueState = Literal["same", "other", "damaged", "missing", "deleted"]
 """Missing is what nobody has deleted, and is not there all the same."""
 
+Recorded = tuple[tuple[str, str, Told], ...]
+"""Path, name and what is told of recordings."""
+
 
 @dataclass(frozen=True)
 class Evidence:
@@ -96,11 +99,11 @@ class Repetition:
 
 @dataclass(frozen=True)
 class Again:
-    """What is needed to make an answer again; it can be sent to a worker."""
+    """What is needed to make an answer again, beside what it was; it can be sent to a worker."""
 
-    recordings: tuple[tuple[str, str, Told], ...]
-    question: tasks.DiagnosisTask
     then: Mapping[str, Any]
+    recordings: Recorded
+    question: tasks.DiagnosisTask
 
 
 def evidence_of(store: Store, keys: tuple[str, ...]) -> tuple[list[MeasurementRow], list[Evidence]]:
@@ -239,7 +242,7 @@ def again(
     """
     asked = row.request
 
-    def files(rows: list[MeasurementRow]) -> tuple[tuple[str, str, Told], ...]:
+    def files(rows: list[MeasurementRow]) -> Recorded:
         return tuple((str(store.path_of(each.sha256)), each.name, each.told) for each in rows)
 
     # Limits are those of then: the asset may have others by now.
@@ -247,16 +250,31 @@ def again(
         *(*place, speed, asked["effort"], asked["mode"], asked["mapping"], asked["prior"], files(baselines)),
         limits_um=asked.get("limits_um", {}),
     )
-    return Again(files(recordings), question, row.answer.model_dump(mode="json"))
+    return Again(row.answer.model_dump(mode="json"), files(recordings), question)
 
 
-def repeat(asked: Again) -> Repetition:
-    """Make an answer again, and compare."""
-    if len(asked.recordings) == 1 and not asked.then["recordings"]:
-        found = tasks.diagnose(*asked.recordings[0], asked.question)
-    else:
-        found = tasks.diagnose_together(asked.recordings, asked.question)
-    return compare(asked.then, found.model_dump(mode="json"))
+def repeat(
+    then: Mapping[str, Any], recordings: Recorded, question: tasks.DiagnosisTask, progress: tasks.Progress | None = None
+) -> Repetition:
+    """Make an answer again, and compare; what is raised on purpose is why there is none.
+
+    Parameters
+    ----------
+    then, recordings, question
+        Of :class:`Again`.
+    progress : callable, optional
+        As for :func:`~jointplay.app.jobs.tasks.diagnose`.
+    """
+    from jointplay.catalogue.errors import CatalogueError
+
+    try:
+        if len(recordings) == 1 and not then["recordings"]:
+            found = tasks.diagnose(*recordings[0], question, progress)
+        else:
+            found = tasks.diagnose_together(recordings, question, progress)
+    except (AppError, CatalogueError) as error:
+        return Repetition("not_repeated", said=str(error))
+    return compare(then, found.model_dump(mode="json"))
 
 
 def compare(then: Mapping[str, Any], now: Mapping[str, Any]) -> Repetition:
@@ -288,13 +306,3 @@ def is_rounding(then: Any, now: Any) -> bool:
     if not all(isinstance(each, int | float) and not isinstance(each, bool) for each in (then, now)):
         return False
     return bool(abs(then - now) <= max(ROUNDING * max(abs(then), abs(now)), SMALLEST))
-
-
-def repeated_here(asked: Again) -> Repetition:
-    """Return what :func:`repeat` does; what it raises on purpose is why there is no answer."""
-    from jointplay.catalogue.errors import CatalogueError
-
-    try:
-        return repeat(asked)
-    except (AppError, CatalogueError) as error:
-        return Repetition("not_repeated", said=str(error))

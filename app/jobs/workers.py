@@ -10,7 +10,7 @@ import asyncio
 import logging
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -70,7 +70,7 @@ def prepare(log_settings: LogSettings) -> None:
     become_worker()
 
 
-def attempt(task: Callable[..., Any], args: tuple[Any, ...]) -> WorkerOutcome:
+def attempt(task: Callable[..., Any], args: Sequence[Any]) -> WorkerOutcome:
     """Run a task in the worker and send its exception back as a problem, because not every exception can be sent."""
     log.debug("task %s begins", task.__name__)
     try:
@@ -84,7 +84,7 @@ def attempt(task: Callable[..., Any], args: tuple[Any, ...]) -> WorkerOutcome:
         log.debug("task %s has ended", task.__name__)
 
 
-def attempt_for(request: str | None, task: Callable[..., Any], args: tuple[Any, ...]) -> WorkerOutcome:
+def attempt_for(request: str | None, task: Callable[..., Any], args: Sequence[Any]) -> WorkerOutcome:
     """Run a task for the request of an id."""
     with logs.of_request(request):
         return attempt(task, args)
@@ -360,9 +360,14 @@ async def let_end(working: asyncio.Task[WorkerOutcome], patience: float) -> None
         await asyncio.gather(working, return_exceptions=True)
 
 
-async def run_in(worker: OneProcess, task: Callable[..., Any], args: tuple[Any, ...]) -> WorkerOutcome:
+async def run_in(
+    worker: OneProcess,
+    task: Callable[..., Any],
+    args: Sequence[Any],
+    attempted: Callable[..., WorkerOutcome] = attempt_for,
+) -> WorkerOutcome:
     """Run one task in a process, for the request that this is about."""
-    return await asyncio.wrap_future(worker.submit(attempt_for, logs.request_id(), task, args))
+    return await asyncio.wrap_future(worker.submit(attempted, logs.request_id(), task, args))
 
 
 def end(worker: OneProcess) -> None:

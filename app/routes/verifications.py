@@ -8,7 +8,7 @@ from fastapi import APIRouter, Request
 from starlette.concurrency import run_in_threadpool
 
 from jointplay.app.http.openapi import problems
-from jointplay.app.jobs.verification import Checked, Repetition, check, repeated_here
+from jointplay.app.jobs.verification import Checked, Repetition, check, repeat
 from jointplay.app.schemas.custody import CatalogueThen, EvidenceOut, VerificationOut, VersionPair
 from jointplay.app.service import of_request
 from jointplay.app.speeds import speed_of
@@ -25,8 +25,10 @@ async def verify(request: Request, key: str) -> VerificationOut:
     speed = speed_of(row.request.get("speed"))
     found = await run_in_threadpool(check, service.store, row, speed, service.shelf.place_of)
     again = Repetition("not_repeated", said=found.said)
-    if found.again is not None:
-        again = await service.pool.run(repeated_here, found.again)
+    if (asked := found.again) is not None:
+        again = await service.answers.answer(
+            repeat, asked.then, asked.recordings, question=asked.question, measurements=[key]
+        )
     return verification_out(row, found, again)
 
 

@@ -13,9 +13,11 @@ from pathlib import Path
 from typing import Any, cast
 
 import pytest
+from starlette.requests import Request
 
 from jointplay.app.errors import RecordingMissingError, TimeLimitError
-from jointplay.app.jobs import background, tasks
+from jointplay.app.http.handlers import handle
+from jointplay.app.jobs import background, tasks, verification
 from jointplay.app.jobs.answers import Answers
 from jointplay.app.jobs.background import Background
 from jointplay.app.jobs.clients import Client, working_for
@@ -110,6 +112,7 @@ def test_one_after_the_other_behind_all_others(tmp_path: Path) -> None:
         assert await came_to(behind, "second") == str(folders["second"])
         assert await came_to(behind, "first") == str(folders["first"]), "it is kept for whoever asks again"
         assert not behind.is_at_work("first")
+        assert not behind.processes(), "none waits: its memory is given back"
 
     run(story)
     assert ended == ["again", "first", "second"]
@@ -148,6 +151,11 @@ def test_a_refusal_is_told_to_whoever_asks_again(tmp_path: Path) -> None:
             await came_to(behind, "refused")
 
     run(story)
+
+
+def test_its_log_names_the_task(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    background.attempt_in_sight("r1", fail, (tmp_path,))
+    assert "task fail failed" in caplog.text
 
 
 @pytest.mark.parametrize(("task", "said"), [(fail, r"entries\.h5: cannot be read"), (lack, r"worn\.csv.* is missing")])
@@ -309,6 +317,34 @@ def test_what_lies_only_as_long_as_its_request_is_held(tmp_path: Path) -> None:
     done()
     assert not Path(held).exists()
     assert file.exists(), "whoever sent it settles it"
+
+
+@pytest.mark.parametrize("together", [False, True])
+def test_an_answer_is_made_again_in_sight(monkeypatch: pytest.MonkeyPatch, together: bool) -> None:
+    """A verification goes on in the background as its diagnosis did, and says how far it is."""
+
+    def diagnose(*args: Any) -> None:
+        args[-1](768, 9216)
+        raise DiagnosisError("worn.csv: no column is a sensor")
+
+    monkeypatch.setattr(tasks, "diagnose_together" if together else "diagnose", diagnose)
+    told: list[tuple[int, int]] = []
+    again = verification.Again({"recordings": [1] if together else []}, (WORN,), THOROUGH)
+    found = verification.repeat(again.then, again.recordings, again.question, lambda *done: told.append(done))
+    assert told == [(768, 9216)]
+    assert found == verification.Repetition("not_repeated", said="worn.csv: no column is a sensor")
+
+
+def test_what_goes_on_is_no_error_in_the_log(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO", "jointplay")
+    scope = {"type": "http", "path": "/api/v1/diagnoses", "headers": []}
+    errors = TimeLimitError("stopped; it goes on", 120), TimeLimitError("stopped")
+    answered = [asyncio.run(handle(Request(scope), error)) for error in errors]
+    assert [(each.status_code, each.headers.get("retry-after")) for each in answered] == [(504, "120"), (504, None)]
+    assert [(each.levelname, each.message) for each in caplog.records if "stopped" in each.message] == [
+        ("INFO", "stopped; it goes on"),
+        ("ERROR", "stopped"),
+    ]
 
 
 def test_where_too_many_wait_and_of_what_takes_seconds_nothing_goes_on(tmp_path: Path) -> None:
