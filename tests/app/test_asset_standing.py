@@ -74,6 +74,7 @@ def told(listener: Listener) -> tuple[str, dict[str, Any]]:
     return body["event"], body["data"]
 
 
+@pytest.mark.long
 def test_a_worn_asset_from_its_first_recording_to_its_repair(service: httpx.Client, listener: Listener) -> None:
     assert put(service, "life-1", limits_um={"B": 90}).status_code == 201
     assert standing(service, "life-1")["reasons"][0]["text"] == "There is no recording of it yet."

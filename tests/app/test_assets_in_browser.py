@@ -37,6 +37,7 @@ def diagnose(page: Page, name: str, content: bytes, folder: Path, verdict: str) 
     page.locator("#result").get_by_role("link", name=asset, exact=True).click()
 
 
+@pytest.mark.long
 def test_an_asset_from_its_name_to_its_past(visit: Visit, worn: bytes, in_order: bytes, tmp_path: Path) -> None:
     page = visit.page
     name = f"press-{page.viewport_size['width']}" if page.viewport_size else ""
@@ -92,6 +93,7 @@ def wait_until_judged(client: httpx.Client, name: str) -> None:
         time.sleep(0.1)
 
 
+@pytest.mark.long
 def test_an_alarm_is_found_acknowledged_and_repaired(visit: Visit, client: httpx.Client, worn: bytes) -> None:
     page = visit.page
     name = f"crank-{page.viewport_size['width']}" if page.viewport_size else ""

@@ -6,16 +6,16 @@ import asyncio
 import os
 import re
 import signal
-import time
 from collections.abc import Callable, Coroutine, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
 import pytest
+from long_work import fail, lack, refuse, work
 from starlette.requests import Request
 
-from jointplay.app.errors import RecordingMissingError, TimeLimitError
+from jointplay.app.errors import TimeLimitError
 from jointplay.app.http.handlers import handle
 from jointplay.app.jobs import background, tasks, verification
 from jointplay.app.jobs.answers import Answers
@@ -26,36 +26,7 @@ from jointplay.app.problems import problem_of
 from jointplay.app.storage.store import Store
 from jointplay.app.storage.told import Told
 from jointplay.app.storage.uploads import Upload
-from jointplay.catalogue.errors import CatalogueFileError, DiagnosisError
-
-Progress = Callable[[int, int], None]
-
-
-def total_of(folder: Path) -> int:
-    """Another number for each answer."""
-    return 9216 + len(folder.name)
-
-
-def work(folder: Path, progress: Progress) -> str:
-    """Note that it began, tell how far it is, and wait to be let go."""
-    with (folder / "begun").open("a") as file:
-        print(os.getpid(), os.nice(0), file=file)
-    progress(768, total_of(folder))
-    while not (folder / "go").exists():
-        time.sleep(0.01)
-    return str(folder)
-
-
-def refuse(folder: Path, progress: Progress) -> None:
-    raise DiagnosisError("worn.csv: no column is a sensor")
-
-
-def fail(folder: Path, progress: Progress) -> None:
-    raise CatalogueFileError("entries.h5", "cannot be read")
-
-
-def lack(folder: Path, progress: Progress) -> None:
-    raise RecordingMissingError("recording worn.csv: its file is missing")
+from jointplay.catalogue.errors import DiagnosisError
 
 
 def begun(folder: Path) -> list[list[str]]:

@@ -298,6 +298,7 @@ def guarded(settings: ServiceSettings, tmp_path: Path) -> Iterator[tuple[str, Ke
         store.close()
 
 
+@pytest.mark.long
 def test_a_session_that_ends_is_begun_anew_where_it_was(
     browser: Browser, guarded: tuple[str, Keys], recording: Path
 ) -> None:

@@ -132,6 +132,7 @@ def test_a_build_tells_its_server_that_it_goes_on(monkeypatch: pytest.MonkeyPatc
     assert re.fullmatch(r"1 of 2 networks are trained; at work for \d+ s", told.values["message"])
 
 
+@pytest.mark.long
 def test_the_quality_card_at_the_prompt_over_http_and_on_the_page(client: httpx.Client, shelf: Path) -> None:
     folder = shelf / "slider-crank"
     card = json.loads(invoke("evaluate", "--catalogue", folder, "--card", "--json").stdout)

@@ -47,6 +47,7 @@ def ask(page: Page, name: str) -> None:
     page.get_by_role("button", name="Build").click()
 
 
+@pytest.mark.long
 def test_from_the_form_to_the_catalogue(
     visit: Visit, queue: BuildQueue, settings: ServiceSettings, shelf: Path
 ) -> None:

@@ -202,6 +202,7 @@ def test_no_address_of_a_scheduler_is_bad_input_and_ends(tmp_path: Path) -> None
     assert not folder.exists()
 
 
+@pytest.mark.long
 def test_scheduler_that_does_not_answer_is_not_waited_for_in_silence(tmp_path: Path) -> None:
     arguments = ("quick-return", "--catalogue", tmp_path / "c", "--plan", "quick", "--scheduler", "tcp://127.0.0.1:1")
     result = invoke("build", *arguments)
@@ -212,6 +213,7 @@ def test_scheduler_that_does_not_answer_is_not_waited_for_in_silence(tmp_path: P
     ]
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("ctrl_c")
 def test_ctrl_c_ends_with_130(tmp_path: Path) -> None:
     arguments = ["build", "quick-return", "--catalogue", str(tmp_path / "c"), "--workers", "1", "--plan", "standard"]
@@ -260,6 +262,7 @@ def test_accuracy_and_tolerance_exclude_each_other(tmp_path: Path) -> None:
     assert_refused(result, 2, "not both")
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("ctrl_c")
 def test_serve_runs_until_ctrl_c(tmp_path: Path) -> None:
     command = [*JOINTPLAY, "serve", "--port", "0", "--data", str(tmp_path / "data"), "--catalogues", str(tmp_path)]

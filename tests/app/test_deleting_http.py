@@ -58,6 +58,7 @@ def problem(answer: httpx.Response, status: int, slug: str) -> str:
     return detail
 
 
+@pytest.mark.long
 def test_a_recording_and_all_that_speaks_of_it(alone: httpx.Client, worn: bytes) -> None:
     alone.put(f"{API}/assets/press-7", json={"machine": "slider-crank"}).raise_for_status()
     sent = {"files": {"file": ("w.csv", worn)}, "data": {**QUESTION, "asset": "press-7"}}

@@ -316,6 +316,7 @@ def test_evaluate_asks_for_machines_among_others_unless_said() -> None:
         assert name in printed
 
 
+@pytest.mark.long
 def test_evaluate_sweeps_draws(shelf: Path, tmp_path: Path) -> None:
     plot = tmp_path / "sweep.svg"
     arguments = ["evaluate", "--catalogue", shelf / "slider-crank", "--protocol", "matched", "--count", "4"]
@@ -353,6 +354,7 @@ def test_a_sweep_refuses_several_protocols(protocols: str, text: str, shelf: Pat
     assert_refused(invoke(*arguments, "--sweep", "--protocol", protocols), 2, text)
 
 
+@pytest.mark.long
 def test_noise_takes_the_place_of_the_protocols(shelf: Path) -> None:
     arguments = ["evaluate", "--catalogue", shelf / "slider-crank", "--count", "4", "--protocol", "hard,noisy"]
     result = invoke(*arguments, "--noise", "20 mm/s2", "--json")

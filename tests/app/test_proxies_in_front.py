@@ -178,6 +178,7 @@ def test_plain_http_leads_to_tls(front: Front) -> None:
     assert (answer.status_code, answer.headers["location"]) == (308, "https://localhost/machines?a=b")
 
 
+@pytest.mark.long
 def test_headers_that_do_not_come_are_not_waited_for(front: Front) -> None:
     """Ten seconds by both files, and both at once."""
     with ExitStack() as opened:

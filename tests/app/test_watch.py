@@ -88,6 +88,7 @@ def journal(folder: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in (folder / JOURNAL).read_text().splitlines() if line]
 
 
+@pytest.mark.long
 def test_nothing_is_lost_or_doubled_though_the_watcher_is_killed_twice(empty: str, folder: Path) -> None:
     found = drop(empty, folder, count=30, halves=6, twice=4, kills=2)
     assert (found.files, found.recordings, found.lost, found.doubled, found.foreign) == (34, 30, 0, 0, 0)

@@ -225,7 +225,7 @@ def test_model_errors_are_of_the_machine() -> None:
     assert not of("slider-crank", "lives").ripple
 
 
-@pytest.mark.parametrize("machine", ["slider-crank", "four-bar"])
+@pytest.mark.parametrize("machine", ["slider-crank", pytest.param("four-bar", marks=pytest.mark.long)])
 def test_joints_are_held_shut_by_the_first_load_and_not_by_the_second(machine: str) -> None:
     """Above 300 Hz, with noise of 0.1 m/s2: measured 0 to 3 dB more than a sound machine, and 8 dB and more."""
 
