@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
@@ -15,9 +15,13 @@ from jointplay.app.speeds import speed_of
 from jointplay.app.storage.asset_rows import AssetRow
 from jointplay.app.storage.assets import Assets, measurements_of
 from jointplay.app.storage.remembered import Remembered
+from jointplay.app.storage.repairs import is_between
 from jointplay.app.storage.rows import MeasurementRow
 from jointplay.app.storage.store import Store
 from jointplay.catalogue.diagnosing.question import MOST_TOGETHER
+
+MOST_FINDINGS = 10_000
+"""Of an asset, that are looked through for repairs."""
 
 
 @dataclass(frozen=True)
@@ -100,8 +104,27 @@ class Questions:
         UnknownMeasurementError
             When one does not exist.
         BadFieldError
-            When the request names them in no way, or in two; or there are none, or too many, in the window.
+            When the request names them in no way, or in two; there are none, or too many, in the window; or a joint of
+            the asset was repaired between them.
         """
+        rows = self._named(request, asset)
+        if asset is not None and len(rows) > 1:
+            self._check_one_state(rows, asset, "measurements" if request.since is None else "since")
+        return rows
+
+    def _check_one_state(self, rows: Sequence[MeasurementRow], asset: AssetRow, field: str) -> None:
+        """Refuse recordings of an asset between which a joint was repaired: one answer is of one state."""
+        moments = [row.measured_at for row in rows]
+        known = Assets(self.store.database).findings(None, MOST_FINDINGS, only={"asset": asset.external_id}, damaged=[])
+        for found in known:
+            repaired = sorted(name for name, told in found.joints.items() if told.get("repaired"))
+            if repaired and is_between([found.at], moments):
+                said = f"joint {', '.join(repaired)} of asset {asset.external_id} was repaired on {found.at:%Y-%m-%d}"
+                rule = "between them: must be of one state"
+                raise BadFieldError(f"{field}: {said}, {rule}", field=field)
+
+    def _named(self, request: DiagnosisRequest, asset: AssetRow | None) -> list[MeasurementRow]:
+        """Return the measurements that a request names, in whatever way."""
         given = [name for name in ("measurement", "measurements", "since") if getattr(request, name) is not None]
         if len(given) != 1:
             said = f"{' and '.join(given) or 'measurement'}: give one of measurement, measurements, or since with asset"
@@ -125,9 +148,9 @@ class Questions:
             raise BadFieldError("since: needs an asset", field="asset")
         assert request.since is not None
         window = (request.since, request.until)
-        rows = self.store.measurements_between(measurements_of(asset.external_id), *window, MOST_TOGETHER + 2)
         # What the others are compared with is no evidence of the present state.
-        rows = [row for row in rows if row.sha256 not in known]
+        among = measurements_of(asset.external_id)
+        rows = self.store.measurements_between(among, *window, MOST_TOGETHER + 1, without=known)
         if not 1 <= len(rows) <= MOST_TOGETHER:
             count = len(rows) if len(rows) <= MOST_TOGETHER else f"more than {MOST_TOGETHER}"
             raise BadFieldError(

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from jointplay.catalogue.diagnosing.answer import Answer, BandEvidence, JointClearance, JointState
+from jointplay.catalogue.diagnosing.answer import Answer, BandEvidence, JointClearance, JointState, RecordingShare
 
 CONDITIONS = {"worn": "worn", "in_order": "in order", "open": "cannot be told"}
 
@@ -133,11 +133,20 @@ def recording_rows(result: Answer) -> list[RecordingRow]:
             f"{share.alone}, {percent(share.p_alone)}",
             f"{share.weight:.2f}" if share.weight else "",
             f"{share.without}, {percent(share.p_without)}" if share.without else "–",
-            f"left out: {share.left_out}" if share.left_out else "contradicts" if share.contradicts else "agrees",
+            _with_the_others(share),
             share.contradicts or bool(share.left_out),
         )
         for share in result.recordings
     ]
+
+
+def _with_the_others(share: RecordingShare) -> str:
+    """How a recording goes with the others."""
+    if share.left_out:
+        return f"left out: {share.left_out}"
+    if share.contradicts:
+        return "contradicts"
+    return f"agrees if a load held {' and '.join(share.held_shut)} shut" if share.held_shut else "agrees"
 
 
 def hypothesis_rows(result: Answer, most: int | None = None) -> list[HypothesisRow]:

@@ -133,7 +133,7 @@ def report(state: WearState) -> str:
         for row in shown["joints"]
     ]  # fmt: skip
     head = ("joint", "worn", "radial clearance (90 % interval)", "grows by", "limit", "reached (90 %)", "sure since")
-    parts = [f"By {state.visits} recordings, the last of {shown['at']} UTC:", indent(table(head, rows))]
+    parts = [f"By {state.visits} recordings, the last of {shown['at']} UTC:", indent(table(head, rows)), shown["moved"]]
     for cause in shown["causes"]:
         moves = f" ({cause['moves']})" if cause["moves"] else ""
         parts.append(f"Besides: {cause['name']}, {cause['size']}{moves}, {cause['percent']}.")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from jointplay.app.errors import DamageError, RecordingMissingError, UnknownDiagnosisError
+from jointplay.app.errors import AppError, DamageError, RecordingMissingError, UnknownDiagnosisError
 
 if TYPE_CHECKING:
     from jointplay.app.settings import ServiceSettings
@@ -86,6 +86,7 @@ def repeat_newest(settings: ServiceSettings, store: Store, count: int) -> Iterat
     from jointplay.app.shelves.catalogues import CatalogueShelf
     from jointplay.app.speeds import speed_of
     from jointplay.app.storage.tombstones import missing
+    from jointplay.catalogue.errors import CatalogueError
 
     shelf = CatalogueShelf(settings.catalogues, partial(missing, store.database, "catalogue"))
 
@@ -94,11 +95,12 @@ def repeat_newest(settings: ServiceSettings, store: Store, count: int) -> Iterat
         if found.again is None:
             said = f"diagnosis {row.id}: cannot be repeated: {found.said}"
             return "not_repeated", said if found.is_damaged else ""
-        again = repeat(found.again.then, found.again.recordings, found.again.question)
+        try:
+            again = repeat(found.again.then, found.again.recordings, found.again.question)
+        except (AppError, CatalogueError) as error:
+            return "not_repeated", f"diagnosis {row.id}: cannot be repeated: {error}"
         if again.outcome in ("equal", "rounding"):
             return "repeated", ""
-        if again.outcome == "not_repeated":
-            return "not_repeated", f"diagnosis {row.id}: cannot be repeated: {again.said}"
         first = again.differences[0]
         was = f"{first.member} was {first.then}, is {first.now}"
         return "repeated", f"diagnosis {row.id}: comes out otherwise: {was}"

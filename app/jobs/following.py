@@ -2,28 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from datetime import datetime
+from datetime import datetime, timedelta
 from typing import TYPE_CHECKING, Any
 
 from sqlalchemy import select
 
 from jointplay.app.errors import NothingToFollowError
+from jointplay.app.storage.asset_rows import FindingRow
 from jointplay.app.storage.assets import Assets, diagnoses_of, measurements_of
-from jointplay.app.storage.rows import DiagnosisRow
+from jointplay.app.storage.repairs import is_between, repairs_of
+from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
+from jointplay.app.storage.standings import MOST_VISITS
 from jointplay.app.storage.store import Store
 
 if TYPE_CHECKING:
     from jointplay.catalogue.diagnosing.answer import Diagnosis
     from jointplay.catalogue.following.state import WearState
 
-MOST_VISITS, MOST_RECORDINGS = 2000, 20_000
-"""Diagnoses of an asset that are followed, the newest so many, and recordings that they may be of."""
+MOST_RECORDINGS = 20_000
+"""Recordings that the diagnoses of an asset which are followed may be of."""
 
 MOST_LESSONS = 1000
 """Findings of an asset, and those of machines of its kind, which teach: the newest so many."""
+
+SOON, BEFORE = timedelta(days=31), timedelta(days=1)
+"""How long after a recording something was found, or before it, that teaches what its answer is worth.
+
+Chosen, not fitted: a joint that wears gains 100 um a year in the median (USUAL of catalogue.following.play), so less
+than 10 um in a month, beside an error of 5 % of a clearance that somebody measures. What is found later is wear as well
+as an error of the model. A day before, because who only knows the date of an inspection tells its midnight."""
 
 NO_EVIDENCE: dict[str, Any] = {"orders": [], "bands": [], "rival": None}
 """Levels are most of an answer, and nothing here asks for them."""
@@ -42,7 +53,7 @@ class Life:
     findings : sequence of (datetime, str, Mapping)
         When something was found, its id, and its joints.
     lessons : sequence of (Mapping, Mapping)
-        Answers to recordings of machines of this kind, and what was found at their joints then.
+        Answers to recordings of machines of this kind, and what was found at their joints soon after.
     limits_um : Mapping
         Its own limits by joint, in place of the machine's.
     """
@@ -58,14 +69,17 @@ def gather(store: Store, asset: str) -> Life:
     """Return what is known of an asset.
 
     Every recording counts once, by its bytes: in the newest answer that several have together, or else in its own; in a
-    common answer without a verdict, as where recordings contradict each other, only if it has none of its own.
+    common answer without a verdict, as where recordings contradict each other, only if it has none of its own. One that
+    is common to recordings of before and after a repair does not count: it is of no state that the machine was in.
 
     Raises
     ------
     UnknownAssetError
         When there is none of this id.
     NothingToFollowError
-        When none of its recordings was diagnosed.
+        When none of its recordings was diagnosed, or only across a repair.
+    DamagedRowError
+        When a row of its own is damaged.
     """
     assets = Assets(store.database)
     row = assets.asset(asset)
@@ -73,32 +87,65 @@ def gather(store: Store, asset: str) -> Life:
     if not diagnoses:
         raise NothingToFollowError(f"asset {asset}: none of its recordings was diagnosed yet", field="asset")
     # Whoever diagnoses a recording for an asset notes it as one of the asset's.
-    known = {each.id: each for each in store.measurements(None, MOST_RECORDINGS, measurements_of(asset), gone=True)}
-    # The same bytes by several names were made once: when somebody says, or else when they were first received.
-    made: dict[str, tuple[bool, datetime]] = {}
-    for row_of in known.values():
-        moment = (row_of.measured_at_source == "received", row_of.measured_at)
-        made[row_of.sha256] = min(made.get(row_of.sha256, moment), moment)
-    heard: set[str] = set()
-    counted: list[tuple[datetime, str, DiagnosisRow]] = []
-    for each in sorted(diagnoses, key=_turn):  # the newest of each kind first
-        recordings = [known[key] for key in each.measurements if key in known]
-        bytes_of = sorted({recording.sha256 for recording in recordings})
-        if recordings and heard.isdisjoint(bytes_of):
-            heard.update(bytes_of)
-            counted.append((max(made[key][1] for key in bytes_of), " ".join(bytes_of), each))
+    recordings = store.measurements(None, MOST_RECORDINGS, measurements_of(asset), gone=True)
     own = assets.findings(None, MOST_LESSONS, only={"asset": asset})
-    fleet = assets.findings_of_machine(row.machine, MOST_LESSONS)
-    ids = select(DiagnosisRow.id).where(DiagnosisRow.id.in_({found.diagnosis for found in fleet}))
-    answered = store.diagnoses(None, len(fleet), among=ids)
-    results = {each.id: _without_evidence(each) for each in answered}
+    counted = _counted(diagnoses, recordings, repairs_of(own))
+    if not counted:
+        said = "its recordings were diagnosed together only, those of before a repair with those of after it"
+        raise NothingToFollowError(f"asset {asset}: {said}", field="asset")
     return Life(
         machine=diagnoses[0].machine,
         visits=[(at, key, _without_evidence(each)) for at, key, each in counted],
         findings=[(found.at, found.id, found.joints) for found in own],
-        lessons=[(results[found.diagnosis], found.joints) for found in reversed(fleet)],
+        lessons=[(_without_evidence(answer), found.joints) for answer, found in _lessons(store, row.machine)],
         limits_um=row.limits_um,
     )
+
+
+def _counted(
+    diagnoses: Sequence[DiagnosisRow], recordings: Sequence[MeasurementRow], repairs: Sequence[datetime]
+) -> list[tuple[datetime, str, DiagnosisRow]]:
+    """Return the answers that count, each with the moment and the name of what it is of."""
+    known = {each.id: each.sha256 for each in recordings}
+    # The same bytes by several names were made once: when somebody says, or else when they were first received.
+    made: dict[str, tuple[bool, datetime]] = {}
+    for each in recordings:
+        moment = (each.measured_at_source == "received", each.measured_at)
+        made[each.sha256] = min(made.get(each.sha256, moment), moment)
+    heard: set[str] = set()
+    counted: list[tuple[datetime, str, DiagnosisRow]] = []
+    for answer in sorted(diagnoses, key=_turn):  # the newest of each kind first
+        bytes_of = sorted({known[key] for key in answer.measurements if key in known})
+        moments = [made[key][1] for key in bytes_of]
+        if moments and heard.isdisjoint(bytes_of) and not is_between(repairs, moments):
+            heard.update(bytes_of)
+            counted.append((max(moments), " ".join(bytes_of), answer))
+    return counted
+
+
+def _lessons(store: Store, machine: str) -> Iterator[tuple[DiagnosisRow, FindingRow]]:
+    """Give answers of machines of one kind, and what was found soon after; a row that is damaged teaches nothing."""
+    fleet = Assets(store.database).findings_of_machine(machine, MOST_LESSONS, damaged=[])
+    at_asset: dict[str | None, list[FindingRow]] = defaultdict(list)
+    for found in fleet:
+        at_asset[found.asset].append(found)
+    repairs = {asset: repairs_of(findings) for asset, findings in at_asset.items()}
+    ids = select(DiagnosisRow.id).where(DiagnosisRow.id.in_({found.diagnosis for found in fleet}))
+    answers = {each.id: each for each in store.diagnoses(None, len(fleet), among=ids, damaged=[])}
+    keys = {key for answer in answers.values() for key in answer.measurements}
+    among = select(MeasurementRow.id).where(MeasurementRow.id.in_(keys))
+    made = {each.id: each.measured_at for each in store.measurements(None, len(keys), among, [], gone=True)}
+    for found in reversed(fleet):
+        answer = answers.get(found.diagnosis)
+        if answer is not None and made.keys() >= set(answer.measurements):
+            moments = [made[key] for key in answer.measurements]
+            if _is_of_one_state(found.at, moments, repairs[found.asset]):
+                yield answer, found
+
+
+def _is_of_one_state(at: datetime, moments: Collection[datetime], repairs: Iterable[datetime]) -> bool:
+    """Return whether something was found at a machine as it was heard at some moments."""
+    return -BEFORE <= at - max(moments) <= SOON and not is_between(repairs, (at, *moments))
 
 
 def _turn(row: DiagnosisRow) -> int:
@@ -130,7 +177,7 @@ def follow_life(life: Life) -> WearState:
     inspections = [
         Inspection(
             at,
-            {joint: 1e-6 * found["clearance_um"] for joint, found in joints.items() if joint in bounds},
+            {joint: clearance for joint, clearance in _measured(joints).items() if joint in bounds},
             frozenset(joint for joint, found in joints.items() if found.get("repaired") and joint in bounds),
             key,
         )
@@ -139,10 +186,15 @@ def follow_life(life: Life) -> WearState:
     lessons = [
         Lesson(answer, joint, clearance, worn=clearance >= bounds[joint].worn_from)
         for answer, joints in _readable(life.lessons)
-        for joint, clearance in ((joint, 1e-6 * found["clearance_um"]) for joint, found in joints.items())
+        for joint, clearance in _measured(joints).items()
         if joint in bounds
     ]
     return follow(visits, inspections, bounds=bounds, correction=learn_from(lessons))
+
+
+def _measured(joints: Mapping[str, Any]) -> dict[str, float]:
+    """Return the clearances of a finding [m]; a joint may have been repaired without being measured."""
+    return {joint: 1e-6 * found["clearance_um"] for joint, found in joints.items() if "clearance_um" in found}
 
 
 def _readable(

@@ -5,7 +5,10 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
+from collections import Counter
 from datetime import timedelta
+from http import HTTPStatus
+from typing import Any
 
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.concurrency import run_in_threadpool
@@ -32,6 +35,9 @@ log = logging.getLogger(__name__)
 PAUSE_S = 1.0
 BUSY = timedelta(seconds=10)
 
+LATER, MOST_FAILURES = timedelta(minutes=5), 12
+"""When an asset is followed again after a failure that may pass, and how many of them in a row do not: an hour's."""
+
 
 class StandingKeeper:
     """Keeps how assets stand up to date, in the background.
@@ -47,6 +53,7 @@ class StandingKeeper:
         self._store = store
         self._standings = Standings(store.database)
         self._pool = pool
+        self._failures: Counter[str] = Counter()
 
     async def run(self) -> None:
         """Judge what is due, and what will be, until this is cancelled."""
@@ -74,16 +81,26 @@ class StandingKeeper:
         except BusyError:
             await run_in_threadpool(self._standings.postpone, due, now() + BUSY)
             return False
+        except (TaskFailedError, TimeLimitError, WorkerDiedError) as error:  # it stands as it stood
+            log.warning("asset %s is followed again in %s: %s", due.external_id, LATER, error)
+            await run_in_threadpool(self._standings.postpone, due, now() + LATER)
+            return True
         except (UnknownAssetError, DeletedError):  # while it was being judged
             return True
         return True
 
     async def _learn(self, due: Due) -> Known:
-        """Return what is known of an asset."""
+        """Return what is known of an asset.
+
+        Raises
+        ------
+        TaskFailedError, TimeLimitError, WorkerDiedError
+            When its wear could not be followed, and may be soon.
+        """
         try:
             heard, last, at = await run_in_threadpool(self._standings.last_heard, due.external_id)
         except DamagedRowError as error:
-            return Known(failure=str(error)[:200])
+            return Known.model_validate(due.last).model_copy(update={"failure": str(error)[:200]})
         told = Known(heard_at=heard)
         if last is None:
             return told
@@ -92,9 +109,27 @@ class StandingKeeper:
             life = await run_in_threadpool(following.gather, self._store, due.external_id)
             state: WearState = await self._pool.run(following.follow_life, life)
         except (DamagedRowError, NothingToFollowError, TaskFailedError, TimeLimitError, WorkerDiedError) as error:
-            return told.model_copy(update={"failure": str(error)[:200]})
+            return told.model_copy(update=self._after_failure(due, error))
+        self._failures.pop(due.external_id, None)
         joints = {name: JointKnown.of(each) for name, each in state.joints.items()}
         worn = {name for name, found in last.answer.joints.items() if found.condition == "worn"}
         since = {repair.joint for repair in state.repairs if at is not None and repair.at > at}
         repaired = last.answer.verdict == "worn" and bool(worn) and worn <= since
         return told.model_copy(update={"joints": joints, "repaired": repaired})
+
+    def _after_failure(self, due: Due, error: Exception) -> dict[str, Any]:
+        """Return what is known of an asset's wear where it could not be followed; what may pass is raised, at first."""
+        if may_pass(error):
+            self._failures[due.external_id] += 1
+            if self._failures[due.external_id] < MOST_FAILURES:
+                raise error
+        self._failures.pop(due.external_id, None)
+        keeps = may_pass(error) or isinstance(error, DamagedRowError)  # its joints are no better for that
+        return {"failure": str(error)[:200], "joints": Known.model_validate(due.last).joints if keeps else {}}
+
+
+def may_pass(error: Exception) -> bool:
+    """Return whether a failure may be one of the moment, rather than of what was to be done."""
+    if isinstance(error, TaskFailedError):
+        return error.problem.status >= HTTPStatus.INTERNAL_SERVER_ERROR
+    return isinstance(error, (TimeLimitError, WorkerDiedError))

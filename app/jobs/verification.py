@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from jointplay.app.errors import (
-    AppError,
     DamagedCatalogueError,
     DeletedError,
     RecordingDamagedError,
@@ -256,7 +255,7 @@ def again(
 def repeat(
     then: Mapping[str, Any], recordings: Recorded, question: tasks.DiagnosisTask, progress: tasks.Progress | None = None
 ) -> Repetition:
-    """Make an answer again, and compare; what is raised on purpose is why there is none.
+    """Make an answer again, and compare.
 
     Parameters
     ----------
@@ -265,15 +264,10 @@ def repeat(
     progress : callable, optional
         As for :func:`~jointplay.app.jobs.tasks.diagnose`.
     """
-    from jointplay.catalogue.errors import CatalogueError
-
-    try:
-        if len(recordings) == 1 and not then["recordings"]:
-            found = tasks.diagnose(*recordings[0], question, progress)
-        else:
-            found = tasks.diagnose_together(recordings, question, progress)
-    except (AppError, CatalogueError) as error:
-        return Repetition("not_repeated", said=str(error))
+    if len(recordings) == 1 and not then["recordings"]:
+        found = tasks.diagnose(*recordings[0], question, progress)
+    else:
+        found = tasks.diagnose_together(recordings, question, progress)
     return compare(then, found.model_dump(mode="json"))
 
 

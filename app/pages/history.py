@@ -73,10 +73,10 @@ def diagnosis_row(row: DiagnosisRow, measurements: Mapping[str, MeasurementRow])
 
 def finding_row(row: FindingRow) -> dict[str, Any]:
     """Return the row of a finding in the table."""
-    found = [
-        f"{name} {micrometres(joint['clearance_um'])} µm{', repaired' if joint.get('repaired') else ''}"
-        for name, joint in row.joints.items()
-    ]
+    found = []
+    for name, joint in row.joints.items():
+        said = [f"{micrometres(joint['clearance_um'])} µm"] if "clearance_um" in joint else []
+        found.append(f"{name} {', '.join([*said, *(['repaired'] if joint.get('repaired') else [])])}")
     return {
         "at": spell_moment(row.at),
         "id": row.id,
@@ -118,7 +118,9 @@ def chart(
     for finding in findings:
         event = {"at": finding.at.timestamp(), "kind": "finding"}
         events += [
-            {**event, "joint": joint, "um": found["clearance_um"]} for joint, found in finding.joints.items()
+            {**event, "joint": joint, "um": found["clearance_um"]}
+            for joint, found in finding.joints.items()
+            if "clearance_um" in found
         ] or [event]
     joints = sorted(points, key=order.index)
     return {

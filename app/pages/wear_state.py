@@ -15,6 +15,9 @@ from jointplay.catalogue.following.state import JointFollowed, WearState
 WORN = 0.5
 """Probability from which on a clearance is that of wear, and is drawn."""
 
+MOVED = 0.05
+"""Change of a probability of wear, by the last recording, from which on it is told."""
+
 LOOKS = 6
 """Looks of joints in charts."""
 
@@ -41,8 +44,21 @@ def show_state(state: WearState, findings: Sequence[FindingRow] = ()) -> dict[st
             {"joint": repair.joint, "at": day(repair.at), "percent": percent(repair.probability)}
             for repair in state.repairs
         ],
+        "moved": what_moved(state),
         "chart": chart(state, findings),
     }
+
+
+def what_moved(state: WearState) -> str:
+    """Return in words what the last recording has changed, of which joints are worn."""
+    told = [
+        f"{name} from {percent(found.course[-1].p_worn - found.moved_by)} to {percent(found.course[-1].p_worn)}"
+        for name, found in state.joints.items()
+        if abs(found.moved_by) >= MOVED
+    ]
+    if not told:
+        return "The last recording has changed little of which joints are worn."
+    return f"The last recording has moved the probability of wear of {'; '.join(told)}."
 
 
 def joint_row(name: str, found: JointFollowed) -> dict[str, Any]:
@@ -93,6 +109,7 @@ def chart(state: WearState, findings: Sequence[FindingRow]) -> dict[str, Any] | 
         {"at": finding.at.timestamp(), "kind": "finding", "joint": name, "um": found["clearance_um"]}
         for finding in findings
         for name, found in finding.joints.items()
+        if "clearance_um" in found
     ]
     limits: dict[float, list[str]] = {}
     for name in drawn:

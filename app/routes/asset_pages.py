@@ -37,9 +37,10 @@ from jointplay.app.words import colour_sentence, spell_moment
 
 router = APIRouter(prefix="/assets")
 
-LIMIT, BASELINE = "limit-", "baseline-"
+LIMIT, BASELINE, WITH = "limit-", "baseline-", "with-"
 DAYS = ("silent_after_days", "warn_within_days")
-FIELDS = ("external_id", "machine", "notes", "baselines", "from", "limits_um", *DAYS, "state", "note")
+TOGETHER = ("measurements", "catalogue", "effort")
+FIELDS = ("external_id", "machine", "notes", "baselines", *TOGETHER, "limits_um", *DAYS, "state", "note")
 SHOWN = 200
 
 
@@ -139,17 +140,19 @@ async def acknowledge(request: Request, external_id: str) -> Response:
 
 @router.post("/{external_id}/together")
 async def together(request: Request, external_id: str) -> Response:
-    """Diagnose the recordings of an asset from one of them on together, and go to the answer."""
+    """Diagnose some recordings of an asset together, and go to the answer."""
     service = of_request(request)
+    given: dict[str, str] = {}
     try:
-        given = await plain_form(request)
-        if "from" not in given:
-            raise BadFieldError("choose a recording", field="from")
-        first = await run_in_threadpool(service.store.measurement, given["from"])
-        asked = {"asset": external_id, "catalogue": given.get("catalogue", ""), "since": first.measured_at.isoformat()}
+        given.update(await plain_form(request))
+        keys = [name.removeprefix(WITH) for name in given if name.startswith(WITH)]
+        if not keys:
+            raise BadFieldError("choose recordings", field="measurements")
+        said = {name: given[name] for name in TOGETHER[1:] if name in given}
+        asked: dict[str, Any] = {"asset": external_id, "measurements": keys[::-1], **said}  # the first first
         row = await service.diagnose(validate(DiagnosisRequest, asked))
     except REFUSALS as error:
-        return await show_refusal(request, external_id, None, problem_from(error))
+        return await show_refusal(request, external_id, given, problem_from(error))
     return RedirectResponse(f"/diagnoses/{row.id}", status_code=303)
 
 
@@ -219,7 +222,7 @@ async def show_asset(
     service = of_request(request)
     members = await run_in_threadpool(past, service, external_id, cursor)
     stored = members["stored"]
-    if given:  # a box that was left empty says nothing
+    if given and "catalogue" not in given:  # of the form that changes it: a box that was left empty says nothing
         stored = {name: value for name, value in stored.items() if not name.startswith(BASELINE)}
     members["chosen"] = stored | (given or {})
     members |= {"may_match": may_match(request), "title": f"{external_id}: jointplay"}
@@ -274,6 +277,8 @@ def past(service: Service, external_id: str, cursor: str | None) -> dict[str, An
         repaired = {name for joints in since for name, told in joints.items() if told.get("repaired")}
         colours = {name: share for name, share in joint_colours(last.answer).items() if name not in repaired}
         drawn = colour_sentence(last.answer) + (f" Repaired since: {', '.join(sorted(repaired))}." if repaired else "")
+    offered = [each.description.name for each in service.shelf.offers() if each.machine.name == row.machine]
+    asked = [each.answer.catalogue for each in diagnoses]  # the newest first: what comes next is compared with the same
     machine = service.machine_of(row.machine)
     wearing = () if machine is None else machine.wearing_joints
     limits = [(name, f"{1e6 * machine.joints[name].worn_out_from:.4g}") for name in wearing] if machine else []
@@ -290,16 +295,21 @@ def past(service: Service, external_id: str, cursor: str | None) -> dict[str, An
             **{f"{LIMIT}{name}": f"{limit:g}" for name, limit in row.limits_um.items()},
         },
         "baseline": ", ".join(each.name for each in baselines),
-        "recordings": [(each.id, f"{each.name}, {spell_moment(each.measured_at)} UTC") for each in recordings],
+        "recordings": [(each.id, spell(each)) for each in recordings],
+        "several": [(each.id, spell(each)) for each in own if each.id not in row.in_order],
         "history": history(diagnoses, measurements, findings[:SHOWN]),
         "more_findings": len(findings) > SHOWN,
-        "catalogue": next(
-            (each.description.name for each in service.shelf.offers() if each.machine.name == row.machine), None
-        ),
+        "catalogues": offered,
+        "catalogue": next((name for name in (*asked, *offered) if name in offered), None),
         "damaged": {each.problem: each for each in damaged}.values(),
         "following": following,
         "first": cursor is None,
     }
+
+
+def spell(row: MeasurementRow) -> str:
+    """Return what a recording is called in a list of an asset's."""
+    return f"{row.name}, {spell_moment(row.measured_at)} UTC"
 
 
 def asset_item(row: AssetRow) -> dict[str, Any]:

@@ -65,7 +65,7 @@ def read_finding(given: dict[str, str]) -> FindingIn:
     Raises
     ------
     BadFieldError
-        For a play that is none, or a joint that was repaired and has none.
+        For a play that is none.
     RequestValidationError
         For a field that breaks a rule.
     """
@@ -75,9 +75,8 @@ def read_finding(given: dict[str, str]) -> FindingIn:
             name = field.removeprefix(PLAY)
             joints[name] = {"clearance_um": clearance_of(name, value), "repaired": f"{REPAIRED}{name}" in given}
     for field in given:
-        name = field.removeprefix(REPAIRED)
-        if field.startswith(REPAIRED) and name not in joints:
-            raise BadFieldError(f"joint {name[:80]}: write the play that was found, too", field="joints")
+        if field.startswith(REPAIRED):
+            joints.setdefault(field.removeprefix(REPAIRED), {"repaired": True})
     at = moment_of(given.get("at", spell_now()))
     return validate(FindingIn, {"text": given.get("text", ""), "joints": joints, "at": at})
 

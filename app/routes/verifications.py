@@ -9,6 +9,8 @@ from starlette.concurrency import run_in_threadpool
 
 from jointplay.app.http.openapi import problems
 from jointplay.app.jobs.verification import Checked, Repetition, check, repeat
+from jointplay.app.jobs.workers import TaskFailedError
+from jointplay.app.problems import PLAIN_TYPE
 from jointplay.app.schemas.custody import CatalogueThen, EvidenceOut, VerificationOut, VersionPair
 from jointplay.app.service import of_request
 from jointplay.app.speeds import speed_of
@@ -26,9 +28,14 @@ async def verify(request: Request, key: str) -> VerificationOut:
     found = await run_in_threadpool(check, service.store, row, speed, service.shelf.place_of)
     again = Repetition("not_repeated", said=found.said)
     if (asked := found.again) is not None:
-        again = await service.answers.answer(
-            repeat, asked.then, asked.recordings, question=asked.question, measurements=[key]
-        )
+        try:
+            again = await service.answers.answer(
+                repeat, asked.then, asked.recordings, question=asked.question, measurements=[key]
+            )
+        except TaskFailedError as error:
+            if error.problem.type == PLAIN_TYPE:  # that nobody foresaw
+                raise
+            again = Repetition("not_repeated", said=error.problem.detail)
     return verification_out(row, found, again)
 
 

@@ -173,15 +173,27 @@ class TrendRow(Shape):
 
 
 class JointFound(Shape):
-    """What was measured at one joint."""
+    """What was measured at one joint, or that it was repaired, or both."""
 
     clearance_um: Annotated[
-        float,
+        float | None,
         Field(
-            ge=0, le=1e5, allow_inf_nan=False, strict=True, description="Radial clearance: half of the diametral play."
+            default=None,
+            ge=0,
+            le=1e5,
+            allow_inf_nan=False,
+            strict=True,
+            description="Radial clearance: half of the diametral play; left out where nobody measured it.",
         ),
     ]
     repaired: Annotated[bool, Field(default=False, strict=True, description="Whether it was as new afterwards.")]
+
+    @model_validator(mode="after")
+    def says_something(self) -> JointFound:
+        """Refuse a joint of which nothing is said."""
+        if self.clearance_um is None and not self.repaired:
+            raise ValueError("give clearance_um, or repaired, or both")
+        return self
 
 
 class FindingIn(Shape):

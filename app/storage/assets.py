@@ -260,12 +260,12 @@ class Assets:
             raise missing(self._database, "finding", key, unknown)
         return row
 
-    def findings_of_machine(self, machine: str, limit: int) -> list[FindingRow]:
-        """Return findings at all assets that are one machine, the newest first."""
+    def findings_of_machine(self, machine: str, limit: int, damaged: list[Damaged] | None = None) -> list[FindingRow]:
+        """Return findings at all assets that are one machine, the newest first; damaged ones as :meth:`findings`."""
         with self._database.reading() as session:
             query = select(FindingRow).join(AssetRow, AssetRow.external_id == FindingRow.asset)
             query = query.where(AssetRow.machine == machine).order_by(FindingRow.number.desc()).limit(limit)
-            return rows_of(session, FindingRow, query, None)
+            return rows_of(session, FindingRow, query, damaged)
 
     def findings(
         self,

@@ -9,17 +9,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
+from typing import Any
 
 from sqlalchemy import select, update
 from sqlalchemy.orm import Session
 
 from jointplay.app.errors import BadFieldError, DamagedRowError
 from jointplay.app.schemas.assets import Acknowledged, StandingOut
-from jointplay.app.storage.asset_rows import AssetRow
+from jointplay.app.storage.asset_rows import AssetRow, FindingRow
 from jointplay.app.storage.assets import NEEDED, diagnoses_of, measurements_of, one_locked
 from jointplay.app.storage.audit import note
 from jointplay.app.storage.database import ServiceDatabase
-from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow, now, rows_of
+from jointplay.app.storage.repairs import is_between, repairs_of
+from jointplay.app.storage.rows import UNREADABLE, DiagnosisRow, MeasurementRow, is_passing, newest, now, rows_of
 from jointplay.app.storage.webhooks import announce
 from jointplay.catalogue.following.standing import (
     RECORDINGS,
@@ -34,6 +36,9 @@ from jointplay.catalogue.following.standing import (
     next_change,
     state_of,
 )
+
+MOST_VISITS = 2000
+"""Diagnoses of an asset that are looked at, the newest so many."""
 
 LEASE = timedelta(seconds=300)
 """Longer than judging takes: an asset that was taken by a server that died is due again after it."""
@@ -50,6 +55,8 @@ class Due:
         How often it had changed when it was taken.
     known : Known or None
         What is known of it; None where that has to be learned anew.
+    last : dict
+        What was known of it when it was judged last, as JSON values.
     patience : Patience
     limits_um : dict
         Its own limits by joint.
@@ -58,6 +65,7 @@ class Due:
     external_id: str
     changes: int
     known: Known | None
+    last: dict[str, Any]
     patience: Patience
     limits_um: dict[str, float]
 
@@ -93,19 +101,34 @@ class Standings:
             [row] = found
             row.due_at = moment + LEASE
             known = Known.model_validate(row.known) if row.followed == row.changes else None
-            return Due(row.external_id, row.changes, known, row.patience, dict(row.limits_um))
+            return Due(row.external_id, row.changes, known, dict(row.known), row.patience, dict(row.limits_um))
 
     def last_heard(self, external_id: str) -> tuple[datetime | None, DiagnosisRow | None, datetime | None]:
-        """Return when an asset was last recorded, and the answer to the last recording diagnosed and its time."""
+        """Return when an asset was last recorded, and the answer to the last recording diagnosed and its time.
+
+        Of several recordings that have an answer together the last counts. An answer to recordings of before and after
+        a repair is of no state of wear, and only returned where there is no other.
+
+        Raises
+        ------
+        DamagedRowError
+            When it cannot be said which answer that is, or it is damaged.
+        """
         with self._database.reading() as session:
-            of = MeasurementRow.measured_at.desc()
-            among = MeasurementRow.id.in_(measurements_of(external_id))
-            heard = session.scalar(select(MeasurementRow.measured_at).where(among).order_by(of).limit(1))
-            joined = select(DiagnosisRow, MeasurementRow.measured_at)
-            joined = joined.join(MeasurementRow, MeasurementRow.id == DiagnosisRow.measurement)
-            joined = joined.where(DiagnosisRow.id.in_(diagnoses_of(external_id)))
-            found = session.execute(joined.order_by(of, DiagnosisRow.number.desc()).limit(1)).first()
-        return (heard, None, None) if found is None else (heard, found[0], found[1])
+            made = moments_of(session, external_id)
+            findings = select(FindingRow).where(FindingRow.asset == external_id)
+            repairs = repairs_of(rows_of(session, FindingRow, findings, []))
+            answered = []
+            for number, keys in recordings_of(session, external_id).items():
+                moments = [made[key] for key in keys if key in made]
+                if moments:
+                    answered.append((not is_between(repairs, moments), max(moments), number))
+            heard = max(made.values(), default=None)
+            if not answered:
+                return heard, None, None
+            _, at, number = max(answered)
+            [row] = rows_of(session, DiagnosisRow, select(DiagnosisRow).where(DiagnosisRow.number == number), None)
+        return heard, row, at
 
     def settle(self, due: Due, known: Known, moment: datetime) -> None:
         """Store how an asset stands by what is known of it, with what is told of that.
@@ -186,6 +209,45 @@ class Standings:
                 silence = {"heard_at": known.heard_at.isoformat(), "silent_after_days": due.patience.silent_after.days}
                 announce(session, "asset.silent", {**named, **silence})
         row.said = holds
+
+
+def moments_of(session: Session, external_id: str) -> dict[str, datetime]:
+    """Return when the recordings of an asset were made, by their ids.
+
+    Raises
+    ------
+    DamagedRowError
+    """
+    query = select(MeasurementRow).where(MeasurementRow.id.in_(measurements_of(external_id)))
+    return dict(columns_of(session, query, MeasurementRow.id, MeasurementRow.measured_at))
+
+
+def recordings_of(session: Session, external_id: str) -> dict[int, list[str]]:
+    """Return the ids of what an asset's newest diagnoses are of, by the numbers of their rows.
+
+    Raises
+    ------
+    DamagedRowError
+    """
+    query = newest(session, DiagnosisRow, None, MOST_VISITS, diagnoses_of(external_id))
+    columns = (DiagnosisRow.number, DiagnosisRow.measurement, DiagnosisRow.request)
+    found = columns_of(session, query, *columns)
+    return {number: request.get("measurements") or [measurement] for number, measurement, request in found}
+
+
+def columns_of(session: Session, query: Any, *columns: Any) -> Sequence[Any]:
+    """Return columns of rows whose rest is too much to be read for them; which row is damaged is told.
+
+    Raises
+    ------
+    DamagedRowError
+    """
+    try:
+        return session.execute(query.with_only_columns(*columns)).all()
+    except UNREADABLE as error:
+        if not is_passing(error):
+            rows_of(session, columns[0].class_, query, None)
+        raise
 
 
 def locked(session: Session, external_id: str) -> AssetRow:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -260,11 +260,14 @@ class Store:
         return row
 
     def measurements_between(
-        self, among: Select[str], since: datetime, until: datetime | None, most: int
+        self, among: Select[str], since: datetime, until: datetime | None, most: int, *, without: Iterable[str] = ()
     ) -> list[MeasurementRow]:
-        """Return measurements of some ids that were made from a moment on, and before another, the first first."""
+        """Return measurements of some ids that were made from a moment on, and before another, the first first.
+
+        Those of bytes with some checksums, `without`, are left out.
+        """
         query = select(MeasurementRow).where(MeasurementRow.id.in_(among), MeasurementRow.measured_at >= since)
-        query = query.where(MeasurementRow.id.not_in(deleted("measurement")))
+        query = query.where(MeasurementRow.id.not_in(deleted("measurement")), MeasurementRow.sha256.not_in(without))
         if until is not None:
             query = query.where(MeasurementRow.measured_at < until)
         with self._session() as session:

@@ -279,6 +279,9 @@ class RecordingShare(Frozen):
         Whether it says clearly otherwise than the others.
     left_out : str
         Why it does not count; empty where it does.
+    held_shut : tuple of str
+        Joints of the common answer that it looks to have in order: it agrees if a load held them shut that day, and not
+        if it was made before they wore, or after they were repaired.
     """
 
     measurement: str
@@ -293,6 +296,7 @@ class RecordingShare(Frozen):
     one_machine: float
     contradicts: bool
     left_out: str = ""
+    held_shut: tuple[str, ...] = ()
 
 
 class MatcherIdentity(Frozen):

@@ -167,6 +167,12 @@ def conclude(
         for share in shares
         if share.contradicts
     ]
+    told += [
+        f"{share.measurement}: looks as {share.alone}; it agrees if a load held {' and '.join(share.held_shut)} shut,"
+        " not if it was made before the wear or after a repair: then diagnose it apart from the others"
+        for share in shares
+        if share.held_shut and not share.contradicts
+    ]
     return tell(
         together,
         catalogue,
@@ -264,6 +270,7 @@ def _shares(heard: Sequence[Heard], reasons: Sequence[str], joined: Together) ->
                 one_machine=likelier,
                 contradicts=likelier < CONTRADICTS_BELOW,
                 left_out=reason,
+                held_shut=joined.held_shut[used] if counts else (),
             )
         )
         used += counts

@@ -81,12 +81,15 @@ class Together:
         How much likelier each recording is as one of the machine of all others than of any other, ln.
     without : tuple of (str, float)
         Most probable hypothesis by all others, and its probability, for each; empty where there are no others.
+    held_shut : tuple of (tuple of str)
+        Joints of the most probable hypothesis that each recording looks to have in order.
     """
 
     result: MatchResult
     weights: FloatArray
     for_one_machine: FloatArray
     without: tuple[tuple[str, float], ...]
+    held_shut: tuple[tuple[str, ...], ...]
 
 
 def match_together(
@@ -106,7 +109,7 @@ def match_together(
         Of what they say of hypotheses and of clearances; as measured unless given.
     """
     if len(results) == 1:
-        return Together(results[0], np.ones(1), np.zeros(1), (("", 0.0),))
+        return Together(results[0], np.ones(1), np.zeros(1), (("", 0.0),), ((),))
     said = _Said.of(results, prior, speeds, (likeness or Likeness(), likeness or BESIDE_PAST))
     everyone = np.arange(len(results))
     without, for_one = [], []
@@ -122,8 +125,16 @@ def match_together(
         for_one.append(total - rest_total - own_total)
     weights = said.weights(everyone)
     probability, _ = said.weigh(everyone, weights)
-    best = weights[0, :, int(probability.argmax())]
-    return Together(said.join(weights[1], probability), best, np.array(for_one), tuple(without))
+    best = int(probability.argmax())
+    return Together(
+        said.join(weights[1], probability),
+        weights[0, :, best],
+        np.array(for_one),
+        tuple(without),
+        tuple(
+            tuple(j for j in results[0].hypotheses[best].joints if j not in row[best].joints) for row in said.as_seen
+        ),
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,7 +31,13 @@ def stored(store: Store, content: bytes = CONTENT, name: str = "a.csv") -> Measu
         store.uploads.settle(upload)
 
 
-def diagnosed(store: Store, *measurements: MeasurementRow, asset: str | None = None, catalogue: str = "c") -> str:
+def diagnosed(
+    store: Store,
+    *measurements: MeasurementRow,
+    asset: str | None = None,
+    catalogue: str = "c",
+    verdict: str = "unknown",
+) -> str:
     ids = [each.id for each in measurements]
     request = {"asset": asset, "measurements": ids if len(ids) > 1 else None}
 
@@ -39,7 +45,7 @@ def diagnosed(store: Store, *measurements: MeasurementRow, asset: str | None = N
         if asset is not None:
             Assets(store.database).note(session, asset, ids, key)
 
-    return store.add_diagnosis(NewDiagnosis(ids[0], catalogue, MACHINE, request, diagnosis(), also)).id
+    return store.add_diagnosis(NewDiagnosis(ids[0], catalogue, MACHINE, request, diagnosis(verdict=verdict), also)).id
 
 
 def found(store: Store, diagnosis: str) -> str:

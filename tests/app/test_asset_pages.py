@@ -6,13 +6,17 @@ import html
 import json
 import re
 from datetime import UTC, datetime
+from pathlib import Path
+from shutil import copytree
 
 import httpx
 import pytest
 from answers import diagnosis, hypothesis, joint
+from small_service import asking
 
 from jointplay.app.pages.history import chart, history
 from jointplay.app.rows import Play
+from jointplay.app.settings import ServiceSettings
 from jointplay.app.storage.asset_rows import FindingRow
 from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
 
@@ -208,6 +212,23 @@ def test_the_newest_diagnosis_of_a_recording_is_drawn_and_all_are_listed() -> No
     )
 
 
+def test_the_next_recording_is_compared_with_the_catalogue_of_the_last(
+    shelf: Path, worn: bytes, tmp_path: Path
+) -> None:
+    for name in ("a-first", "slider-crank"):
+        copytree(shelf / "slider-crank", tmp_path / "catalogues" / name)
+    settings = ServiceSettings(catalogues=tmp_path / "catalogues", data=tmp_path / "data", workers=1, time_limit_s=300)
+    with asking(settings) as client:
+        noted(client, "page-1")
+        measured = client.post(
+            f"{API}/measurements", files={"file": ("worn.csv", worn)}, data={"asset": "page-1"}
+        ).json()
+        assert 'href="/?catalogue=a-first&amp;asset=page-1"' in page_of(client, "page-1")
+        body = {"measurement": measured["id"], "catalogue": "slider-crank", "asset": "page-1", "effort": "fast"}
+        assert client.post(f"{API}/diagnoses", json=body).status_code == 201
+        assert 'href="/?catalogue=slider-crank&amp;asset=page-1"' in page_of(client, "page-1")
+
+
 def test_a_past_without_wear_is_drawn() -> None:
     drawn = chart([diagnosed(2, "in_order")], {"m2": measured(2)}, [])
     assert drawn["joints"] == [] and "No joint was found worn." in drawn["summary"]
@@ -216,21 +237,23 @@ def test_a_past_without_wear_is_drawn() -> None:
 def test_recordings_of_an_asset_have_one_answer(client: httpx.Client, worn: bytes) -> None:
     noted(client, "page-several")
     keys = []
-    for name in ("monday.csv", "tuesday.csv"):
+    for name in ("monday.csv", "tuesday.csv", "wednesday.csv"):
         # The same bytes under another name are another measurement, and count once.
         key = client.post(f"{API}/measurements", files={"file": (name, worn)}).json()["id"]
         client.put(f"{API}/assets/page-several/measurements/{key}")
         keys.append(key)
         shown = client.get("/assets/page-several").text
         assert ("Diagnose together" in shown) == (len(keys) > 1)
-    catalogue = re.search(r'name="catalogue" value="([^"]*)"', shown)
-    assert catalogue is not None
-    asked = {"from": keys[0], "catalogue": catalogue[1]}
+    assert '<option value="slider-crank" selected>' in shown
+    asked = {f"with-{key}": "yes" for key in reversed(keys)} | {"catalogue": "slider-crank", "effort": "fast"}
     answer = client.post("/assets/page-several/together", data=asked)
     assert answer.status_code == 303
     found = client.get(f"{API}{answer.headers['location']}").json()
     assert found["measurements"] == keys
-    assert found["asset"] == "page-several"
-    refused = client.post("/assets/page-several/together", data={"catalogue": catalogue[1]})
-    assert refused.status_code == 422
-    assert error_of(refused.text, "from") == "choose a recording"
+    assert (found["asset"], found["effort"]) == ("page-several", "fast")
+    client.put(f"{API}/assets/page-several", json={"machine": "slider-crank", "baseline": keys[0]}).raise_for_status()
+    for ticked, said in (({}, "choose recordings"), ({f"with-{key}": "yes" for key in keys}, "is the baseline that")):
+        refused = client.post("/assets/page-several/together", data={"catalogue": "slider-crank", **ticked})
+        assert refused.status_code == 422
+        assert said in error_of(refused.text, "measurements")
+        assert re.search(rf'name="baseline-{keys[0]}" type="checkbox" value="yes" checked', refused.text), "it stays"

@@ -50,6 +50,16 @@ def test_what_was_found_and_repaired_is_entered(client: httpx.Client, answer: di
     assert "A 12 µm" in shown and "B 152 µm, repaired" in shown and "pin &lt;new&gt;" in shown
 
 
+def test_a_repair_may_be_told_alone(client: httpx.Client, answer: dict[str, Any]) -> None:
+    form = {"repaired-O": "yes", "play-A": "24", "at": "2026-11-23T10:30:00Z"}
+    assert client.post(f"/diagnoses/{answer['id']}/finding", data=form).status_code == 303
+    assert findings(client, answer)[0]["joints"] == {
+        "A": {"clearance_um": 12.0, "repaired": False},
+        "O": {"clearance_um": None, "repaired": True},
+    }
+    assert "A 12 µm; O repaired" in client.get("/assets/found-1").text
+
+
 @pytest.mark.parametrize(
     ("form", "field", "said"),
     [
@@ -60,7 +70,6 @@ def test_what_was_found_and_repaired_is_entered(client: httpx.Client, answer: di
         ({"play-B": "20 g"}, "joints", 'joint B: 20 g: "g" is a mass, must be a length'),
         ({"play-B": "1,500"}, "joints", "joint B: 1,500: write 1500 or 1.500"),
         ({"play-Z": "10"}, "joints", "joints: Z: is no joint of this machine that can wear (A, B, O)"),
-        ({"repaired-B": "yes"}, "joints", "joint B: write the play that was found, too"),
         ({"text": "loose", "at": "yesterday"}, "at", "at: "),
         ({"text": "a\u0001b"}, "text", "text: "),
         ({}, "", "give joints with their clearance, or a text"),

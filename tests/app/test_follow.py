@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
 from command_line import assert_refused, invoke
 from recordings import RECORDINGS
+
+from jointplay.app.pages.wear_state import what_moved
+from jointplay.catalogue.following.state import WearState
 
 FILES = [RECORDINGS / f"slider-crank-{number:02}.csv.gz" for number in (2, 5)]
 MOMENTS = ("--measured-at", "2026-01-03T10:00:00Z", "--measured-at", "2026-06-03T10:00:00+02:00")
@@ -21,12 +25,21 @@ def test_recordings_in_the_order_they_were_made(shelf: Path) -> None:
     assert json.loads(invoke("follow", *reversed(FILES), *asked, *swapped).stdout) == state
 
 
+def test_a_last_recording_that_says_what_others_said(shelf: Path) -> None:
+    asked = ("--catalogue", shelf / "slider-crank", "--effort", "fast", "--json")
+    state = WearState.model_validate_json(invoke("follow", *FILES, *asked, *MOMENTS).stdout)
+    calm = {name: found.model_copy(update={"moved_by": 0.01}) for name, found in state.joints.items()}
+    said = "The last recording has changed little of which joints are worn."
+    assert what_moved(state.model_copy(update={"joints": calm})) == said
+
+
 def test_in_words_with_what_was_found_and_mended(shelf: Path) -> None:
     asked = ("--catalogue", shelf / "slider-crank", "--effort", "fast", *MOMENTS)
     told = ("--found", "B=150um@2026-06-04T06:00:00Z", "--repaired", "B=2026-06-05T06:00:00Z")
     worn = invoke("follow", *FILES, *asked).stdout
     assert worn.startswith("By 2 recordings, the last of 2026-06-03 08:00 UTC:")
     assert "µm a year" in worn
+    assert re.search(r"The last recording has moved the probability of wear of .*B from \d+ % to > 99 %", worn)
     mended = invoke("follow", *FILES, *asked, *told).stdout
     assert "Joint B was repaired by 2026-06-05, > 99 %." in mended
     assert "in order" in next(line for line in mended.splitlines() if line.strip().startswith("B "))

@@ -13,10 +13,11 @@ from typing import Any
 
 import pytest
 from answers import diagnosis
-from sqlalchemy import select
+from life_cycle import diagnosed, stored
+from sqlalchemy import select, text
 from uploaded import uploaded
 
-from jointplay.app.errors import BadFieldError
+from jointplay.app.errors import BadFieldError, DamagedRowError
 from jointplay.app.schemas.assets import AssetIn, FindingIn
 from jointplay.app.schemas.webhooks import EVENTS
 from jointplay.app.storage.asset_rows import AssetRow
@@ -292,6 +293,42 @@ def test_whatever_counts_makes_an_asset_due(stores: list[Store]) -> None:
     assert settled("press-8").changes == other.changes + 1, "findings teach about all machines of a kind"
     assert Standings(store.database).last_heard("press-7")[0] == NOW - timedelta(days=3)
     assert put(store).changes == settled().changes == before.changes + 4, "nothing of it is new"
+
+
+def heard(store: Store) -> tuple[str | None, datetime | None]:
+    """The answer to the last recording of press-1, and its time."""
+    _, row, at = Standings(store.database).last_heard("press-1")
+    return (None if row is None else row.id), at
+
+
+def test_the_last_of_several_recordings_says_which_answer_is_the_last(stores: list[Store]) -> None:
+    store = stores[0]
+    put(store, "press-1")
+    assert heard(store) == (None, None)
+    january, february, march = (NOW - timedelta(days=days) for days in (90, 60, 30))
+    rows = [store.correct_moment(stored(store, str(at).encode()).id, at) for at in (january, february, march)]
+    both = diagnosed(store, rows[0], rows[2], asset="press-1")
+    assert heard(store) == (both, march)
+    single = diagnosed(store, rows[1], asset="press-1")
+    assert heard(store) == (both, march), "though its first recording is of January"
+    again = diagnosed(store, rows[2], rows[0], asset="press-1")
+    assert heard(store) == (again, march), "the newest answer to the last recording"
+    said = {"joints": {"A": {"clearance_um": 140, "repaired": True}}, "at": (march - timedelta(days=1)).isoformat()}
+    Assets(store.database).add_finding(store.diagnosis(single), FindingIn.model_validate(said))
+    assert heard(store) == (single, february), "those of before and after a repair are of no state"
+
+
+@pytest.mark.parametrize(("column", "value"), [("request", "{}"), ("made_by", "somebody else")])
+def test_which_row_is_damaged_is_told_where_the_last_answer_is_sought(
+    stores: list[Store], column: str, value: str
+) -> None:
+    store = stores[0]
+    put(store, "press-1")
+    key = diagnosed(store, stored(store), asset="press-1")
+    with store.database.engine.begin() as connection:
+        connection.execute(text(f"UPDATE diagnoses SET {column} = :value"), {"value": value})
+    with pytest.raises(DamagedRowError, match=f"diagnosis {key}: its row is not what was written"):
+        heard(store)
 
 
 def test_the_end_of_a_build_is_told_once(stores: list[Store]) -> None:

@@ -11,11 +11,12 @@ from http_answers import API, assert_problem
 from recordings import RECORDINGS
 
 
-def sent(client: httpx.Client, number: int, asset: str | None = None) -> str:
-    """Id of a stored recording."""
+def sent(client: httpx.Client, number: int, asset: str | None = None, prefix: str = "", at: str = "") -> str:
+    """Id of a stored recording; under a name with a prefix, and as made at a moment, where these are given."""
     name = f"slider-crank-{number:02}.csv.gz"
-    files = {"file": (name, (RECORDINGS / name).read_bytes())}
-    answer = client.post(f"{API}/measurements", files=files, data={} if asset is None else {"asset": asset})
+    files = {"file": (prefix + name, (RECORDINGS / name).read_bytes())}
+    told = {"asset": asset or "", "measured_at": at}
+    answer = client.post(f"{API}/measurements", files=files, data={key: each for key, each in told.items() if each})
     assert answer.status_code == 201, answer.text
     key: str = answer.json()["id"]
     return key
@@ -86,6 +87,47 @@ def test_the_baseline_is_no_evidence(client: httpx.Client, two: list[str]) -> No
     assert answer.json()["baseline"] is not None
     refused = client.post(f"{API}/diagnoses", json={**body, "measurements": [*two, sent(client, 1)]})
     assert_problem(refused, 422, "is the baseline that the others are compared with")
+
+
+def test_what_is_no_evidence_takes_no_place_in_a_window(client: httpx.Client, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However many recordings in order there are, all others count."""
+    monkeypatch.setattr("jointplay.app.questions.MOST_TOGETHER", 2)
+    asset, at = "press-with-copies", "2026-02-01T00:00:00Z"
+    client.put(f"{API}/assets/{asset}", json={"machine": "slider-crank", "baseline": sent(client, 1)})
+    for prefix in ("a-", "b-", "c-"):
+        sent(client, 1, asset, prefix, at)
+    others = [sent(client, number, asset, "later-", "2026-02-02T00:00:00Z") for number in (2, 5)]
+    body = {"asset": asset, "catalogue": "slider-crank", "effort": "fast", "since": at}
+    answer = client.post(f"{API}/diagnoses", json=body)
+    assert answer.status_code == 201, answer.text
+    assert sorted(answer.json()["measurements"]) == sorted(others)
+    sent(client, 3, asset, "later-", "2026-02-03T00:00:00Z")
+    assert_problem(client.post(f"{API}/diagnoses", json=body), 422, "more than 2 measurements")
+
+
+def test_a_repair_is_between_two_states(client: httpx.Client) -> None:
+    """Nobody has to have measured what was repaired; recordings before and after it have no common answer."""
+    asset = "press-repaired"
+    client.put(f"{API}/assets/{asset}", json={"machine": "slider-crank"})
+    worn = sent(client, 2, asset, "march-", "2026-03-01T00:00:00Z")
+    later = sent(client, 1, asset, "april-", "2026-04-01T00:00:00Z")
+    body = {"asset": asset, "catalogue": "slider-crank", "effort": "fast"}
+    alone = client.post(f"{API}/diagnoses", json={**body, "measurement": worn}).json()
+    finding, at = f"{API}/diagnoses/{alone['id']}/finding", "2026-03-10T00:00:00Z"
+    nothing = client.post(finding, json={"joints": {"B": {}}, "at": at})
+    assert_problem(nothing, 422, "joints.B: give clearance_um, or repaired, or both")
+    found = client.post(finding, json={"joints": {"B": {"repaired": True}}, "at": at})
+    assert found.status_code == 201, found.text
+    assert found.json()["joints"] == {"B": {"clearance_um": None, "repaired": True}}
+    assert "B repaired" in client.get(f"/assets/{asset}").text
+    rule = "joint B of asset press-repaired was repaired on 2026-03-10, between them: must be of one state"
+    for field, several in (("since", "2026-02-28T00:00:00Z"), ("measurements", [later, worn])):
+        refused = client.post(f"{API}/diagnoses", json={**body, field: several})
+        assert_problem(refused, 422, f"{field}: {rule}")
+    since = client.post(f"{API}/diagnoses", json={**body, "since": "2026-03-11T00:00:00Z"})
+    assert since.status_code == 201, since.text
+    state = client.get(f"{API}/assets/{asset}/state").json()
+    assert [(each["joint"], each["probability"]) for each in state["repairs"]] == [("B", 1.0)]
 
 
 def test_an_answer_to_equal_bytes_is_one_of_its_own(client: httpx.Client, two: list[str]) -> None:

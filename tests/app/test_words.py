@@ -60,6 +60,21 @@ def test_what_was_recorded(names: tuple[str, ...], text: str) -> None:
     assert words.recorded(found, "press.csv") == text
 
 
+def test_how_a_recording_goes_with_the_others() -> None:
+    share = {
+        "measurement": "a.csv",
+        "sha256": "0" * 64,
+        "drive_speed_rpm": 480.0,
+        "one_machine": 3.0,
+        "verdict": "worn",
+    }
+    share |= {"alone": "A", "p_alone": 0.9, "weight": 0.7, "without": "A", "p_without": 0.9, "contradicts": False}
+    others = [{}, {"held_shut": ["A", "B"]}, {"contradicts": True, "held_shut": ["A"]}, {"left_out": "it is spoiled"}]
+    found = result("worn", joints=WORN, recordings=[{**share, **each} for each in others])
+    said = ["agrees", "agrees if a load held A and B shut", "contradicts", "left out: it is spoiled"]
+    assert [row.said for row in rows.recording_rows(found)] == said
+
+
 def test_two_worn_joints() -> None:
     joints = {"A": joint("worn", 250.0, 0.97, p_over_limit=0.9), "C": joint("worn", 80.0, 0.96, p_over_limit=0.02)}
     found = result("worn", hypothesis("A+C", 0.8, A=250, C=80), joints=joints)

@@ -135,8 +135,10 @@ def test_a_load_that_holds_joints_shut_says_nothing_of_them() -> None:
     """Beside a load that no file holds, a machine looks in order and is not as filed; without it, A is worn."""
     shut = replace(said((0.998, 0.001, 0.001), (200, 200)), trusted_p_value=1e-6)
     free = said((0.001, 0.998, 0.001), (200, 300))
-    joined = match_together([shut, free], PRIOR, [1.0, 1.0]).result
+    both = match_together([shut, free], PRIOR, [1.0, 1.0])
+    joined = both.result
     assert joined.best.label == "A" and joined.best.probability > 0.9
+    assert both.held_shut == (("A",), ())
     assert joined.trusted_p_value == pytest.approx(0.4)
     clearance = joined.best.clearances[0]
     assert clearance.median == pytest.approx(200e-6, rel=0.01)
@@ -251,6 +253,16 @@ def test_recordings_of_two_machines_contradict(small_catalogue: Catalogue) -> No
     assert shares[odd.name].contradicts
     assert shares[odd.name].without == diagnose(recording(2), small_catalogue).hypotheses[0].label
     assert any(line.startswith(f"{odd.name}: contradicts the others") for line in answer.warnings)
+
+
+def test_what_only_a_load_reconciles_is_said(small_catalogue: Catalogue) -> None:
+    """It may as well be older than the wear, or newer than a repair: that the recordings do not say."""
+    in_order, worn = recording(1), recording(2)
+    answer = diagnose_together([in_order, worn], small_catalogue, effort="fast")
+    assert answer.hypotheses[0].label == "B"
+    assert [share.held_shut for share in answer.recordings] == [("B",), ()]
+    said = f"{in_order.name}: looks as healthy; it agrees if a load held B shut, not if it was made before the wear"
+    assert any(line.startswith(said) for line in answer.warnings)
 
 
 def test_one_that_is_spoiled_is_left_out(halves: Diagnosis, small_catalogue: Catalogue) -> None:

@@ -1,0 +1,142 @@
+"""What an asset is known for outlives a failure: of a moment, or of one row."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from datetime import datetime, timedelta
+from typing import Any, cast
+
+import pytest
+from life_cycle import diagnosed, stored
+from sqlalchemy import text
+
+from jointplay.app.errors import TimeLimitError, WorkerDiedError
+from jointplay.app.jobs.standing_keeper import LATER, MOST_FAILURES, StandingKeeper
+from jointplay.app.jobs.workers import TaskFailedError, WorkerPool
+from jointplay.app.problems import problem_of
+from jointplay.app.schemas.assets import AssetIn
+from jointplay.app.storage.asset_rows import AssetRow
+from jointplay.app.storage.assets import Assets
+from jointplay.app.storage.rows import now
+from jointplay.app.storage.standings import Standings, standing_out
+from jointplay.app.storage.store import Store
+from jointplay.catalogue.errors import DiagnosisError
+from jointplay.catalogue.following.standing import JointKnown, Known
+
+
+class Failing:
+    """Workers that fail at everything."""
+
+    def __init__(self, error: Exception) -> None:
+        self.error = error
+
+    async def run(self, *_: Any) -> Any:
+        raise self.error
+
+
+def keeper_of(store: Store, error: Exception) -> StandingKeeper:
+    return StandingKeeper(store, cast(WorkerPool, Failing(error)))
+
+
+def step(keeper: StandingKeeper) -> bool:
+    return asyncio.run(keeper.step())
+
+
+def asset(store: Store) -> AssetRow:
+    return Assets(store.database).asset("press-7")
+
+
+@pytest.fixture
+def alarmed(store: Store) -> Store:
+    """An asset of which joint A is beyond its limit, and that was heard again since."""
+    Assets(store.database).put("press-7", AssetIn(machine="press"))
+    joint = JointKnown(
+        p_worn=1.0,
+        p_over_limit=0.99,
+        clearance_um=300.0,
+        interval_um=(290.0, 310.0),
+        limit_um=200.0,
+        limit_at=(now(), now(), None),
+    )
+    due = Standings(store.database).take(now())
+    assert due is not None
+    known = Known(heard_at=now(), verdict="worn", joints={"A": joint})
+    Standings(store.database).settle(due, known, now())
+    diagnosed(store, stored(store), asset="press-7", verdict="in_order")
+    assert asset(store).state == "alarm"
+    return store
+
+
+def failed(error: Exception) -> TaskFailedError:
+    return TaskFailedError(problem_of(error))
+
+
+PASSING: dict[str, Callable[[], Exception]] = {
+    "late": lambda: TimeLimitError("stopped after 60 s"),
+    "died": lambda: WorkerDiedError("ended early"),
+    "failed": lambda: failed(KeyError("x")),
+}
+
+
+def due_at(store: Store) -> datetime:
+    found = asset(store).due_at
+    assert found is not None
+    return found
+
+
+def again(store: Store) -> None:
+    """Let time pass until it is due."""
+    with store.database.writing() as session:
+        session.get_one(AssetRow, asset(store).number).due_at = now()
+
+
+@pytest.mark.parametrize("kind", PASSING)
+def test_a_failure_of_a_moment_leaves_an_asset_as_it_stood_and_is_tried_again(alarmed: Store, kind: str) -> None:
+    before = asset(alarmed)
+    began = now()
+    assert step(keeper_of(alarmed, PASSING[kind]()))
+    row = asset(alarmed)
+    same = ("state", "reasons", "known", "said", "followed", "need", "limit_at")
+    assert [getattr(row, name) for name in same] == [getattr(before, name) for name in same]
+    assert began + LATER <= due_at(alarmed) <= now() + LATER
+    assert not standing_out(row).up_to_date
+    assert not step(keeper_of(alarmed, PASSING[kind]())), "not before that"
+
+
+def test_a_failure_that_does_not_pass_is_told_beside_what_is_known_of_the_joints(alarmed: Store) -> None:
+    keeper = keeper_of(alarmed, TimeLimitError("stopped after 60 s"))
+    for _ in range(MOST_FAILURES - 1):
+        assert step(keeper)
+        assert asset(alarmed).reasons[-1]["about"] == "joint A"
+        again(alarmed)
+    assert step(keeper)
+    row = asset(alarmed)
+    assert (row.state, [reason.about for reason in row.judged]) == ("alarm", ["joint A", "wear"])
+    assert row.judged[1].text == "Its wear could not be followed: stopped after 60 s"
+    assert (standing_out(row).up_to_date, standing_out(row).verdict) == (True, "in_order")
+
+
+def test_a_failure_of_what_was_asked_is_told_at_once(alarmed: Store) -> None:
+    assert step(keeper_of(alarmed, failed(DiagnosisError("visits: joint Z: must be one of A"))))
+    row = asset(alarmed)
+    assert [reason.text for reason in row.judged] == [
+        "Its wear could not be followed: visits: joint Z: must be one of A"
+    ]
+
+
+@pytest.mark.parametrize("which", ["last", "earlier"])
+def test_a_damaged_row_of_an_asset_leaves_its_joints(alarmed: Store, which: str) -> None:
+    later = alarmed.correct_moment(stored(alarmed, b"other").id, now() + timedelta(minutes=1))
+    keys = {
+        "earlier": diagnosed(alarmed, stored(alarmed), asset="press-7", verdict="in_order"),
+        "last": diagnosed(alarmed, later, asset="press-7"),
+    }
+    with alarmed.database.engine.begin() as connection:
+        connection.execute(text(f"UPDATE diagnoses SET made_by = 'somebody else' WHERE id = '{keys[which]}'"))
+    assert step(keeper_of(alarmed, KeyError("is not asked")))
+    row = asset(alarmed)
+    assert row.state == "alarm"
+    assert [reason.about for reason in row.judged if reason.about != "verdict"] == ["joint A", "wear"]
+    (said,) = (reason.text for reason in row.judged if reason.about == "wear")
+    assert f"Its wear could not be followed: diagnosis {keys[which]}: its row is not what was written" in said
