@@ -15,6 +15,7 @@ from jointplay.app.commands.answers_table import Answered, answer_each, check_ta
 from jointplay.app.commands.parameters import (
     Pairs,
     QuantityOption,
+    baseline_option,
     each_once,
     existing_catalogue,
     file_options,
@@ -93,15 +94,7 @@ if TYPE_CHECKING:
     show_default=True,
     help="How much likelier beforehand it is that one joint more is worn, whichever they are.",
 )
-@click.option(
-    "--baseline",
-    "baselines",
-    type=click.Path(path_type=Path),
-    multiple=True,
-    metavar="FILE",
-    help="Recording of the machine in order by the same sensors: fits frame, supports and sensor gains, and shows what"
-    " has changed since; may be repeated.",
-)
+@baseline_option
 @file_options
 @click.option(
     "--map", "mapping", type=Pairs("COLUMN=SENSOR"), multiple=True, help="Column of a sensor; may be repeated."
@@ -155,19 +148,12 @@ def command(
     if effort != "thorough":
         refuse_given(("cases",), "means something with --effort thorough only")
     from jointplay.catalogue.diagnosing.together import diagnose_together
-    from jointplay.catalogue.measurements.measurement import read_measurement
     from jointplay.catalogue.storage.store import Catalogue
 
     check_counts(measurements, told, speeds)
     read = [] if out is not None else measurements  # each when its turn comes
     recordings, said = read_measurements(read, {**told, "measured_at": ()} if out else told, profile)
     sensors, opened = each_once(mapping, "--map"), Catalogue.open(existing_catalogue(catalogue))
-    told_too = {"sample_rate": said.get("sample_rate"), "units": said.get("units")}
-    shared = {name: value for name, value in said.items() if name in ("full_scale", "sensitivity")}
-    in_order = [
-        read_measurement(baseline, **told_too, profile=with_options(profile_of(baseline, profile), shared))
-        for baseline in baselines
-    ]
     ask = partial(
         diagnose_together,
         catalogue=opened,
@@ -178,7 +164,7 @@ def command(
         prior=Prior(
             worn, another, {joint: weight_of(joint, weight) for joint, weight in each_once(priors, "--prior").items()}
         ),
-        baseline=in_order,
+        baseline=read_baselines(baselines, said, profile),
     )
     if out is not None:
 
@@ -252,6 +238,15 @@ def source_of(file: Path) -> tuple[Path | bytes, str | None]:
 
     data = sys.stdin.buffer.read(Limits().file_bytes + 1)
     return data, f"stdin{ending_for(data)}"
+
+
+def read_baselines(files: Sequence[Path], said: Mapping[str, Any], profile: Path | None) -> list[Recording]:
+    """Read recordings of the machine in order, by what options say of all files (see :func:`read_measurements`)."""
+    from jointplay.catalogue.measurements.measurement import read_measurement
+
+    told = {"sample_rate": said.get("sample_rate"), "units": said.get("units")}
+    shared = {name: value for name, value in said.items() if name in ("full_scale", "sensitivity")}
+    return [read_measurement(file, **told, profile=with_options(profile_of(file, profile), shared)) for file in files]
 
 
 def weight_of(joint: str, said: str) -> float:

@@ -9,8 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from jointplay.app.commands.diagnose import read_measurements
-from jointplay.app.commands.parameters import Pairs, each_once, existing_catalogue, file_options, json_option
+from jointplay.app.commands.diagnose import read_baselines, read_measurements
+from jointplay.app.commands.parameters import (
+    Pairs,
+    baseline_option,
+    each_once,
+    existing_catalogue,
+    file_options,
+    json_option,
+)
 from jointplay.app.fields import PROFILE
 from jointplay.app.tables import indent, table
 from jointplay.app.words import in_utc, parse_moment
@@ -33,6 +40,7 @@ if TYPE_CHECKING:
     show_default=True,
     help="How much to compute for each measurement.",
 )
+@baseline_option
 @click.option(
     "--found",
     type=Pairs("JOINT=CLEARANCE@TIME"),
@@ -55,6 +63,7 @@ def command(
     measurements: Sequence[Path],
     catalogue: Path,
     effort: Effort,
+    baselines: Sequence[Path],
     found: Sequence[tuple[str, str]],
     repaired: Sequence[tuple[str, str]],
     mapping: Sequence[tuple[str, str]],
@@ -73,16 +82,17 @@ def command(
     from jointplay.catalogue.storage.store import Catalogue
 
     inspections = list(read_inspections(found, repaired))
-    recordings, _ = read_measurements(measurements, told, profile)
+    recordings, said = read_measurements(measurements, told, profile)
     for file, recording in zip(measurements, recordings, strict=True):
         if recording.measured_at is None:
             raise click.BadParameter(f"{file}: says no time of measurement", param_hint="'--measured-at'")
     opened = Catalogue.open(existing_catalogue(catalogue))
-    sensors = each_once(mapping, "--map") or None
+    sensors, in_order = each_once(mapping, "--map") or None, read_baselines(baselines, said, profile)
     visits = []
     for recording in recordings:
         assert recording.measured_at is not None
-        answer = diagnose(recording, opened, effort=effort, mapping=sensors)
+        past = [each for each in in_order if each.sha256 != recording.sha256]
+        answer = diagnose(recording, opened, effort=effort, mapping=sensors, baseline=past)
         visits.append(Visit(recording.measured_at, recording.sha256, answer))
     bounds = bounds_of(opened.machine, visits[0].answer.joints)
     state = follow(visits, inspections, bounds=bounds)

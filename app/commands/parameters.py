@@ -227,6 +227,16 @@ fault_option = click.option(
     help="Radial clearance of all worn joints; by default what the machine's file gives, mostly none.",
 )
 
+baseline_option = click.option(
+    "--baseline",
+    "baselines",
+    type=click.Path(path_type=Path),
+    multiple=True,
+    metavar="FILE",
+    help="Recording of the machine in order by the same sensors: fits frame, supports and sensor gains, and shows what"
+    " has changed since; may be repeated.",
+)
+
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 
 

@@ -25,6 +25,20 @@ def test_recordings_in_the_order_they_were_made(shelf: Path) -> None:
     assert json.loads(invoke("follow", *reversed(FILES), *asked, *swapped).stdout) == state
 
 
+def test_beside_recordings_of_the_machine_in_order(shelf: Path) -> None:
+    """One of them may be followed, too: it is not compared with itself."""
+    in_order = RECORDINGS / "slider-crank-01.csv.gz"
+    asked = ("--catalogue", shelf / "slider-crank", "--effort", "fast", "--json")
+    files = (in_order, *FILES, *asked, "--measured-at", "2026-01-01T10:00:00Z", *MOMENTS)
+    alone = json.loads(invoke("follow", *files).stdout)
+    beside = json.loads(invoke("follow", *files, "--baseline", in_order).stdout)
+    course = beside["joints"]["B"]["course"]
+    assert [point["at"] for point in course] == [point["at"] for point in alone["joints"]["B"]["course"]]
+    assert course[0] == alone["joints"]["B"]["course"][0]
+    assert course[1]["p_worn"] != alone["joints"]["B"]["course"][1]["p_worn"]
+    assert beside["joints"]["B"]["p_worn"] > 0.9
+
+
 def test_a_last_recording_that_says_what_others_said(shelf: Path) -> None:
     asked = ("--catalogue", shelf / "slider-crank", "--effort", "fast", "--json")
     state = WearState.model_validate_json(invoke("follow", *FILES, *asked, *MOMENTS).stdout)
