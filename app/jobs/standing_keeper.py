@@ -115,7 +115,7 @@ class StandingKeeper:
         worn = {name for name, found in last.answer.joints.items() if found.condition == "worn"}
         since = {repair.joint for repair in state.repairs if at is not None and repair.at > at}
         repaired = last.answer.verdict == "worn" and bool(worn) and worn <= since
-        return told.model_copy(update={"joints": joints, "repaired": repaired})
+        return told.model_copy(update={"joints": joints, "causes": state.causes, "repaired": repaired})
 
     def _after_failure(self, due: Due, error: Exception) -> dict[str, Any]:
         """Return what is known of an asset's wear where it could not be followed; what may pass is raised, at first."""
@@ -124,8 +124,9 @@ class StandingKeeper:
             if self._failures[due.external_id] < MOST_FAILURES:
                 raise error
         self._failures.pop(due.external_id, None)
-        keeps = may_pass(error) or isinstance(error, DamagedRowError)  # its joints are no better for that
-        return {"failure": str(error)[:200], "joints": Known.model_validate(due.last).joints if keeps else {}}
+        # It is no better for that.
+        last = Known.model_validate(due.last) if may_pass(error) or isinstance(error, DamagedRowError) else Known()
+        return {"failure": str(error)[:200], "joints": last.joints, "causes": last.causes}
 
 
 def may_pass(error: Exception) -> bool:

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from jointplay.catalogue.diagnosing.answer import Verdict
 from jointplay.catalogue.diagnosing.answer_of_baseline import Frozen
-from jointplay.catalogue.following.state import JointFollowed, Share
+from jointplay.catalogue.following.state import CauseFollowed, JointFollowed, Share
 
 StandingName = Literal["in_order", "unknown", "watch", "alarm"]
 SEVERITY: tuple[StandingName, ...] = get_args(StandingName)
@@ -23,7 +23,7 @@ NEAR = 0.1
 """Probability to be beyond its limit from which on a joint is near it."""
 
 RECORDINGS, WEAR, VERDICT = "recordings", "wear", "verdict"
-"""What a reason is about, besides joints."""
+"""What a reason is about, besides joints and causes."""
 
 
 class JointKnown(Frozen):
@@ -72,6 +72,8 @@ class Known(Frozen):
         Of the last recording that was diagnosed, when that was made, and the id of the answer.
     joints : mapping of str to JointKnown
         By all recordings; empty where none was diagnosed.
+    causes : mapping of str to CauseFollowed
+        Other than play, that are likely there by all recordings.
     failure : str
         Why its wear could not be followed; empty where it could.
     repaired : bool
@@ -83,6 +85,7 @@ class Known(Frozen):
     verdict_at: datetime | None = None
     diagnosis: str | None = None
     joints: Mapping[str, JointKnown] = {}
+    causes: Mapping[str, CauseFollowed] = {}
     failure: str = ""
     repaired: bool = False
 
@@ -112,7 +115,7 @@ class Reason(Frozen):
     Attributes
     ----------
     about : str
-        ``joint NAME``, recordings, wear or verdict.
+        ``joint NAME``, ``cause NAME``, recordings, wear or verdict.
     state : str
         What it makes of the machine.
     text : str
@@ -126,6 +129,7 @@ class Reason(Frozen):
 def judge(known: Known, at: datetime, patience: Patience) -> tuple[Reason, ...]:
     """Return what somebody should know of a machine at a moment, what asks most of them first; nothing: in order."""
     found = [_judge_joint(name, joint, at, patience.warn_within) for name, joint in known.joints.items()]
+    found += [_judge_cause(name, cause) for name, cause in known.causes.items()]
     found += [_judge_silence(known, at, patience.silent_after), _judge_verdict(known), _judge_wear(known)]
     reasons = [reason for reason in found if reason is not None]
     return tuple(sorted(reasons, key=lambda reason: -SEVERITY.index(reason.state)))
@@ -179,6 +183,14 @@ def _judge_joint(name: str, joint: JointKnown, at: datetime, within: timedelta) 
             about=about, state="watch", text=f"Joint {name} is worn: {_length(joint.clearance_um)}, below {limit}."
         )
     return None
+
+
+def _judge_cause(name: str, cause: CauseFollowed) -> Reason | None:
+    if cause.probability < LIKELY:
+        return None
+    moves = f" ({cause.per_year:+.2g} a year)" if cause.per_year else ""
+    text = f"Besides play: {name}, {cause.size:.3g} {cause.unit}{moves}, {_percent(cause.probability)}."
+    return Reason(about=f"cause {name}", state="watch", text=text)
 
 
 def _judge_silence(known: Known, at: datetime, after: timedelta) -> Reason | None:

@@ -23,6 +23,7 @@ from jointplay.app.storage.standings import Standings, standing_out
 from jointplay.app.storage.store import Store
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.following.standing import JointKnown, Known
+from jointplay.catalogue.following.state import CauseFollowed, WearState
 
 
 class Failing:
@@ -89,6 +90,29 @@ def again(store: Store) -> None:
     """Let time pass until it is due."""
     with store.database.writing() as session:
         session.get_one(AssetRow, asset(store).number).due_at = now()
+
+
+class Following:
+    """Workers that find another cause than play in whatever they follow."""
+
+    async def run(self, *_: Any) -> WearState:
+        cause = CauseFollowed(unit="x stiffness", probability=0.97, size=0.62, per_year=-0.21, since=now())
+        return WearState(at=now(), visits=2, joints={}, causes={"mount 1": cause}, repairs=())
+
+
+def test_a_cause_other_than_play_is_a_reason_and_outlives_a_failure(alarmed: Store) -> None:
+    assert step(StandingKeeper(alarmed, cast(WorkerPool, Following())))
+    told = {"about": "cause mount 1", "state": "watch"}
+    text = "Besides play: mount 1, 0.62 x stiffness (-0.21 a year), 97 %."
+    assert {**told, "text": text} in asset(alarmed).reasons
+    keeper = keeper_of(alarmed, PASSING["late"]())
+    with alarmed.database.writing() as session:
+        session.get_one(AssetRow, asset(alarmed).number).changes += 1
+    for _ in range(MOST_FAILURES):
+        again(alarmed)
+        assert step(keeper)
+    assert {**told, "text": text} in asset(alarmed).reasons
+    assert any(reason["about"] == "wear" for reason in asset(alarmed).reasons)
 
 
 @pytest.mark.parametrize("kind", PASSING)

@@ -17,6 +17,7 @@ from jointplay.catalogue.following.standing import (
     next_change,
     state_of,
 )
+from jointplay.catalogue.following.state import CauseFollowed
 
 NOW = datetime(2026, 6, 1, tzinfo=UTC)
 PATIENCE = Patience(silent_after=timedelta(days=30), warn_within=timedelta(days=30))
@@ -44,6 +45,13 @@ def known(verdict: Any = "in_order", heard: float = -1.0, failure: str = "", **j
     )
 
 
+def cause(probability: float, per_year: float = 0.0) -> CauseFollowed:
+    return CauseFollowed(unit="x stiffness", probability=probability, size=0.62, per_year=per_year, since=NOW)
+
+
+LOOSE = "Besides play: mount 1, 0.62 x stiffness (-0.21 a year), 97 %."
+
+
 @pytest.mark.parametrize(
     ("what", "state", "texts"),
     [
@@ -62,6 +70,9 @@ def known(verdict: Any = "in_order", heard: float = -1.0, failure: str = "", **j
         (known("worn"), "watch", ["Its last recording says that a joint is worn"]),
         (known("worn").model_copy(update={"repaired": True}), "in_order", []),
         (known("worn", B=joint(1.0, 0.9, 250.0)).model_copy(update={"repaired": True}), "alarm", ["Joint B is beyond"]),
+        (known().model_copy(update={"causes": {"mount 1": cause(0.97, -0.21)}}), "watch", [LOOSE]),
+        (known().model_copy(update={"causes": {"mount 1": cause(0.97)}}), "watch", ["0.62 x stiffness, 97 %."]),
+        (known().model_copy(update={"causes": {"mount 1": cause(0.49)}}), "in_order", []),
         (known("changed"), "watch", ["it has changed, and not by play"]),
         (known("unknown"), "unknown", ["Its last recording has no verdict."]),
         (known(heard=-31.0), "unknown", ["No recording since 2026-05-01, for more than 30 days."]),
