@@ -67,12 +67,16 @@ class Cause(Frozen):
         What the size is in: "x stiffness", "kg m", "N" ...
     probability : float
         Among the causes that were tried, play alone among them.
+    since : bool
+        Whether it has come since the recordings of the baseline, as these say; what the machine's file does not know
+        may have been there always.
     """
 
     name: str
     size: float
     unit: str
     probability: Annotated[float, Field(ge=0.0, le=1.0)]
+    since: bool = False
 
 
 class SensorFlaw(Frozen):

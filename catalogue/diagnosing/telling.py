@@ -129,7 +129,13 @@ def tell(
         "joints": joints,
         "hypotheses": tuple(hypothesis_shown(match) for match in result.hypotheses),
         "causes": tuple(
-            Cause(name=cause.name, size=cause.size, unit=cause.unit, probability=min(1.0, cause.probability))
+            Cause(
+                name=cause.name,
+                size=cause.size,
+                unit=cause.unit,
+                probability=min(1.0, cause.probability),
+                since=cause.since,
+            )
             for cause in heard.causes
         ),
         "sensors": tuple(SensorFlaw(sensors=flaw.sensors, kind=flaw.kind, said=flaw.text) for flaw in prepared.flaws),

@@ -233,6 +233,8 @@ def _judge_end(
     likely = {name: cause for name, cause in state.causes.items() if cause.probability >= 0.5}
     if not life.loosening:
         judged.count("a cause told where there is none", bool(likely))
+        come = any(cause.since_baseline for cause in likely.values())
+        judged.count("a cause told to have come since the baseline where none has", come)
         return
     calm = all(by_filter[joint] < 0.5 for joint, is_worn in true.items() if is_worn is False)
     found = likely.get(life.loosening)

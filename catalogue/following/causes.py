@@ -57,4 +57,7 @@ def _follow(name: str, answers: Sequence[tuple[datetime, Answer]]) -> CauseFollo
         slope, size = 0.0, float(np.median(sizes))
     else:
         slope, size = np.polyfit(times, sizes, 1, w=np.sqrt([cause.probability for _, cause in lately])).tolist()
-    return CauseFollowed(unit=lately[-1][1].unit, probability=there, size=size, per_year=slope, since=since)
+    last = lately[-1][1]
+    return CauseFollowed(
+        unit=last.unit, probability=there, size=size, per_year=slope, since=since, since_baseline=last.since
+    )

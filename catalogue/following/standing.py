@@ -186,11 +186,11 @@ def _judge_joint(name: str, joint: JointKnown, at: datetime, within: timedelta) 
 
 
 def _judge_cause(name: str, cause: CauseFollowed) -> Reason | None:
-    if cause.probability < LIKELY:
+    if cause.probability < LIKELY or not cause.since_baseline:  # what was there always is how the machine is
         return None
     moves = f" ({cause.per_year:+.2g} a year)" if cause.per_year else ""
-    text = f"Besides play: {name}, {cause.size:.3g} {cause.unit}{moves}, {_percent(cause.probability)}."
-    return Reason(about=f"cause {name}", state="watch", text=text)
+    said = f"{name}, {cause.size:.3g} {cause.unit}{moves}, {_percent(cause.probability)}"
+    return Reason(about=f"cause {name}", state="watch", text=f"Since its baseline, besides play: {said}.")
 
 
 def _judge_silence(known: Known, at: datetime, after: timedelta) -> Reason | None:

@@ -85,6 +85,8 @@ class CauseFollowed(Frozen):
         By how much the size moves; 0 where fewer than three recordings, or less than a week, say it.
     since : datetime or None
         First recording from which on it was likelier than not.
+    since_baseline : bool
+        Whether the last recording that names it tells that it was not there when the baseline was recorded.
     """
 
     unit: str
@@ -92,6 +94,7 @@ class CauseFollowed(Frozen):
     size: float
     per_year: float
     since: datetime | None
+    since_baseline: bool
 
 
 class Repair(Frozen):

@@ -96,14 +96,16 @@ class Following:
     """Workers that find another cause than play in whatever they follow."""
 
     async def run(self, *_: Any) -> WearState:
-        cause = CauseFollowed(unit="x stiffness", probability=0.97, size=0.62, per_year=-0.21, since=now())
+        cause = CauseFollowed(
+            unit="x stiffness", probability=0.97, size=0.62, per_year=-0.21, since=now(), since_baseline=True
+        )
         return WearState(at=now(), visits=2, joints={}, causes={"mount 1": cause}, repairs=())
 
 
 def test_a_cause_other_than_play_is_a_reason_and_outlives_a_failure(alarmed: Store) -> None:
     assert step(StandingKeeper(alarmed, cast(WorkerPool, Following())))
     told = {"about": "cause mount 1", "state": "watch"}
-    text = "Besides play: mount 1, 0.62 x stiffness (-0.21 a year), 97 %."
+    text = "Since its baseline, besides play: mount 1, 0.62 x stiffness (-0.21 a year), 97 %."
     assert {**told, "text": text} in asset(alarmed).reasons
     keeper = keeper_of(alarmed, PASSING["late"]())
     with alarmed.database.writing() as session:

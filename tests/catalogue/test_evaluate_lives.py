@@ -62,10 +62,15 @@ def visit(place: int, clearances: dict[str, float], *, causes: tuple[Cause, ...]
 
 
 def life(
-    course: list[float], *, repairs: tuple[tuple[int, str], ...] = (), loosening: str = "", name: str = "B"
+    course: list[float],
+    *,
+    repairs: tuple[tuple[int, str], ...] = (),
+    loosening: str = "",
+    name: str = "B",
+    since: bool = True,
 ) -> Life:
     """A life in which one joint has these clearances [m], and the others fits; causes are told as they are."""
-    cause = (Cause(name=loosening, size=1.0, unit="x stiffness", probability=0.99),) if loosening else ()
+    cause = (Cause(name=loosening, size=1.0, unit="x stiffness", probability=0.99, since=since),) if loosening else ()
     visits = []
     for place, clearance in enumerate(course):
         told = tuple(each.model_copy(update={"size": 1.0 - 0.02 * place}) for each in cause)
@@ -111,8 +116,10 @@ def test_a_loosening_mount_is_told_from_wear() -> None:
     assert share(judge_life(life([FIT] * 20, loosening="mount 1"), BOUNDS), name) == 1.0
     unnamed = replace(life([FIT] * 20, loosening="mount 1"), loosening="mount 0")
     assert share(judge_life(unnamed, BOUNDS), name) == 0.0
-    blamed = judge_life(replace(life([FIT] * 20, loosening="mount 1"), loosening=""), BOUNDS)
-    assert share(blamed, "a cause told where there is none") == 1.0
+    for since in (True, False):
+        blamed = judge_life(replace(life([FIT] * 20, loosening="mount 1", since=since), loosening=""), BOUNDS)
+        assert share(blamed, "a cause told where there is none") == 1.0
+        assert share(blamed, "a cause told to have come since the baseline where none has") == since
 
 
 def judged_of(calm: list[float], p_worn: dict[str, list[float]], sizes: list[float]) -> JudgedLife:

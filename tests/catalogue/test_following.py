@@ -221,12 +221,14 @@ def test_a_mount_that_loosens_is_followed() -> None:
     visits = []
     for number in range(12):
         size = 1.0 - 0.04 * max(0, number - 3)
-        causes = (Cause(name="mount 1", size=size, unit="x stiffness", probability=0.97),) if number > 4 else ()
+        cause = Cause(name="mount 1", size=size, unit="x stiffness", probability=0.97, since=True)
+        causes = (cause,) if number > 4 else ()
         told = answer(NONE, AS_NEW, verdict="changed" if causes else "in_order", causes=causes)
         visits.append(Visit(BEGIN + timedelta(days=30 * number), str(number), told))
     found = followed(visits).causes["mount 1"]
     assert found.probability > 0.95
     assert found.since == visits[6].at
+    assert found.since_baseline
     assert found.size == pytest.approx(0.68)
     assert found.per_year == pytest.approx(-0.04 * YEAR / (30 * 86400.0))
 
@@ -238,6 +240,7 @@ def test_a_cause_does_not_come_by_time_alone() -> None:
     found = followed(visits).causes["mount 1"]
     assert found.probability < 0.5
     assert found.since is None and found.per_year == 0.0
+    assert not found.since_baseline
 
 
 def test_a_course_within_seconds_has_no_rate() -> None:

@@ -45,11 +45,18 @@ def known(verdict: Any = "in_order", heard: float = -1.0, failure: str = "", **j
     )
 
 
-def cause(probability: float, per_year: float = 0.0) -> CauseFollowed:
-    return CauseFollowed(unit="x stiffness", probability=probability, size=0.62, per_year=per_year, since=NOW)
+def cause(probability: float, per_year: float = 0.0, since_baseline: bool = True) -> CauseFollowed:
+    return CauseFollowed(
+        unit="x stiffness",
+        probability=probability,
+        size=0.62,
+        per_year=per_year,
+        since=NOW,
+        since_baseline=since_baseline,
+    )
 
 
-LOOSE = "Besides play: mount 1, 0.62 x stiffness (-0.21 a year), 97 %."
+LOOSE = "Since its baseline, besides play: mount 1, 0.62 x stiffness (-0.21 a year), 97 %."
 
 
 @pytest.mark.parametrize(
@@ -73,6 +80,7 @@ LOOSE = "Besides play: mount 1, 0.62 x stiffness (-0.21 a year), 97 %."
         (known().model_copy(update={"causes": {"mount 1": cause(0.97, -0.21)}}), "watch", [LOOSE]),
         (known().model_copy(update={"causes": {"mount 1": cause(0.97)}}), "watch", ["0.62 x stiffness, 97 %."]),
         (known().model_copy(update={"causes": {"mount 1": cause(0.49)}}), "in_order", []),
+        (known().model_copy(update={"causes": {"load": cause(0.97, 0.0, since_baseline=False)}}), "in_order", []),
         (known("changed"), "watch", ["it has changed, and not by play"]),
         (known("unknown"), "unknown", ["Its last recording has no verdict."]),
         (known(heard=-31.0), "unknown", ["No recording since 2026-05-01, for more than 30 days."]),

@@ -357,6 +357,7 @@ def test_what_was_looked_for_beside_wear_goes_with_it(
     shown, _ = answer(worn, "0" * 64, small_catalogue, Question(effort="thorough"), known=known)
     assert shown.effort_spent.note == "simulated"
     assert (len(shown.causes), shown.verdict) == (named, verdict)
+    assert all(cause.since == since for cause in shown.causes)
 
 
 @pytest.mark.parametrize(
