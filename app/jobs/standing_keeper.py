@@ -8,7 +8,6 @@ import time
 from collections import Counter
 from datetime import timedelta
 from http import HTTPStatus
-from typing import Any
 
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.concurrency import run_in_threadpool
@@ -86,6 +85,7 @@ class StandingKeeper:
             await run_in_threadpool(self._standings.postpone, due, now() + LATER)
             return True
         except (UnknownAssetError, DeletedError):  # while it was being judged
+            self._failures.pop(due.external_id, None)
             return True
         return True
 
@@ -109,7 +109,7 @@ class StandingKeeper:
             life = await run_in_threadpool(following.gather, self._store, due.external_id)
             state: WearState = await self._pool.run(following.follow_life, life)
         except (DamagedRowError, NothingToFollowError, TaskFailedError, TimeLimitError, WorkerDiedError) as error:
-            return told.model_copy(update=self._after_failure(due, error))
+            return self._after_failure(due, told, error)
         self._failures.pop(due.external_id, None)
         joints = {name: JointKnown.of(each) for name, each in state.joints.items()}
         worn = {name for name, found in last.answer.joints.items() if found.condition == "worn"}
@@ -117,16 +117,33 @@ class StandingKeeper:
         repaired = last.answer.verdict == "worn" and bool(worn) and worn <= since
         return told.model_copy(update={"joints": joints, "causes": state.causes, "repaired": repaired})
 
-    def _after_failure(self, due: Due, error: Exception) -> dict[str, Any]:
-        """Return what is known of an asset's wear where it could not be followed; what may pass is raised, at first."""
+    def _after_failure(self, due: Due, told: Known, error: Exception) -> Known:
+        """Return what is known of an asset whose wear could not be followed; what may pass is raised, at first.
+
+        Parameters
+        ----------
+        due : Due
+        told : Known
+            By its last recording.
+        error : Exception
+        """
         if may_pass(error):
             self._failures[due.external_id] += 1
             if self._failures[due.external_id] < MOST_FAILURES:
                 raise error
         self._failures.pop(due.external_id, None)
-        # It is no better for that.
-        last = Known.model_validate(due.last) if may_pass(error) or isinstance(error, DamagedRowError) else Known()
-        return {"failure": str(error)[:200], "joints": last.joints, "causes": last.causes}
+        failure = str(error)[:200]
+        if not may_pass(error) and not isinstance(error, DamagedRowError):
+            # All there is may be an answer across a repair: it is of no state that the machine was in.
+            nothing = isinstance(error, NothingToFollowError)
+            return (
+                Known(heard_at=told.heard_at, failure=failure)
+                if nothing
+                else told.model_copy(update={"failure": failure})
+            )
+        last = Known.model_validate(due.last)  # it is no better for that
+        kept = {"joints": last.joints, "causes": last.causes, "failure": failure}
+        return told.model_copy(update={**kept, "repaired": last.repaired and last.diagnosis == told.diagnosis})
 
 
 def may_pass(error: Exception) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from datetime import datetime
 from typing import Any
 from urllib.parse import urlencode
 
@@ -31,7 +32,8 @@ from jointplay.app.scopes import Scope
 from jointplay.app.service import Service, of_request
 from jointplay.app.storage.asset_rows import AssetRow
 from jointplay.app.storage.assets import Assets, diagnoses_of, measurements_of
-from jointplay.app.storage.rows import Damaged, MeasurementRow, now
+from jointplay.app.storage.repairs import is_between, repairs_of
+from jointplay.app.storage.rows import Damaged, DiagnosisRow, MeasurementRow, now
 from jointplay.app.storage.standings import Standings
 from jointplay.app.words import colour_sentence, spell_moment
 
@@ -272,7 +274,13 @@ def past(service: Service, external_id: str, cursor: str | None) -> dict[str, An
     findings = found.findings(None, SHOWN + 1, None, {"asset": external_id}, damaged)
     colours, drawn = dict[str, float](), ""
     if diagnoses and cursor is None:
-        last = max(diagnoses, key=lambda each: (measured(each, measurements), each.number))
+        mended = repairs_of(findings)
+
+        def turn(each: DiagnosisRow) -> tuple[bool, datetime, int]:
+            moments = [measurements[key].measured_at for key in each.measurements]
+            return not is_between(mended, moments), max(moments), each.number
+
+        last = max(diagnoses, key=turn)
         since = [each.joints for each in findings if each.at > measured(last, measurements)]
         repaired = {name for joints in since for name, told in joints.items() if told.get("repaired")}
         colours = {name: share for name, share in joint_colours(last.answer).items() if name not in repaired}

@@ -379,6 +379,15 @@ def touch_owners(session: Session, measurement: str) -> None:
     touch(session, AssetRow.external_id.in_(owners))
 
 
+def touch_taught(session: Session, measurement: str) -> None:
+    """Note the same where it was made is what has changed: what findings at its assets teach all of their kind, too."""
+    owners = select(AssetMeasurementRow.asset).where(AssetMeasurementRow.measurement == measurement)
+    own = AssetRow.external_id.in_(owners)
+    found = select(FindingRow.asset).where(FindingRow.asset.in_(owners))
+    kinds = list(session.scalars(select(AssetRow.machine).where(AssetRow.external_id.in_(found))))
+    touch(session, own | AssetRow.machine.in_(kinds))
+
+
 def measurements_of(external_id: str) -> Select[str]:
     """Return the query for the ids of an asset's measurements."""
     return select(AssetMeasurementRow.measurement).where(AssetMeasurementRow.asset == external_id)

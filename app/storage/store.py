@@ -16,7 +16,7 @@ from sqlalchemy.orm import Session
 
 from jointplay.app.errors import BusyError, UnknownDiagnosisError, UnknownMeasurementError
 from jointplay.app.storage import audit
-from jointplay.app.storage.assets import touch_owners
+from jointplay.app.storage.assets import touch_owners, touch_taught
 from jointplay.app.storage.database import ServiceDatabase, database_url
 from jointplay.app.storage.idempotency import Claims
 from jointplay.app.storage.retention import Quotas
@@ -357,7 +357,7 @@ def correct(session: Session, row: MeasurementRow, moment: datetime, source: Mom
     row.measured_at, row.measured_at_source = moment, source
     if about_measurement(row) != before:
         audit.note(session, "corrected", "measurement", row.id, before, about_measurement(row))
-    touch_owners(session, row.id)
+    touch_taught(session, row.id)
 
 
 def about_measurement(row: MeasurementRow) -> dict[str, Any]:

@@ -167,12 +167,13 @@ def conclude(
         for share in shares
         if share.contradicts
     ]
-    told += [
-        f"{share.measurement}: looks as {share.alone}; it agrees if a load held {' and '.join(share.held_shut)} shut,"
-        " not if it was made before the wear or after a repair: then diagnose it apart from the others"
-        for share in shares
-        if share.held_shut and not share.contradicts
-    ]
+    for share in shares:
+        if share.held_shut and not share.contradicts:
+            worn = " and ".join(share.held_shut)
+            told.append(
+                f"{share.measurement}: looks to have {worn} in order; it agrees if a load held {worn} shut, not if it"
+                " was made before the wear or after a repair: then diagnose it apart from the others"
+            )
     return tell(
         together,
         catalogue,
@@ -240,6 +241,7 @@ def _causes(heard: Sequence[Heard]) -> tuple[NamedCause, ...]:
             named[0],
             size=statistics.median(cause.size for cause in named),
             probability=math.fsum(cause.probability for cause in named) / len(heard),
+            since=2 * sum(cause.since for cause in named) > len(named),
         )
         for named in found.values()
         if 2 * len(named) >= len(heard)

@@ -15,7 +15,7 @@ from jointplay.app.errors import TimeLimitError, WorkerDiedError
 from jointplay.app.jobs.standing_keeper import LATER, MOST_FAILURES, StandingKeeper
 from jointplay.app.jobs.workers import TaskFailedError, WorkerPool
 from jointplay.app.problems import problem_of
-from jointplay.app.schemas.assets import AssetIn
+from jointplay.app.schemas.assets import AssetIn, FindingIn
 from jointplay.app.storage.asset_rows import AssetRow
 from jointplay.app.storage.assets import Assets
 from jointplay.app.storage.rows import now
@@ -166,3 +166,45 @@ def test_a_damaged_row_of_an_asset_leaves_its_joints(alarmed: Store, which: str)
     assert [reason.about for reason in row.judged if reason.about != "verdict"] == ["joint A", "wear"]
     (said,) = (reason.text for reason in row.judged if reason.about == "wear")
     assert f"Its wear could not be followed: diagnosis {keys[which]}: its row is not what was written" in said
+
+
+def test_an_answer_across_a_repair_alone_says_nothing_of_an_asset(store: Store) -> None:
+    Assets(store.database).put("press-8", AssetIn(machine="press"))
+    days = [now() - timedelta(days=each) for each in (3, 1)]
+    rows = [store.correct_moment(stored(store, str(day).encode()).id, day) for day in days]
+    key = diagnosed(store, *rows, asset="press-8", verdict="worn")
+    said = {"joints": {"A": {"repaired": True}}, "at": (now() - timedelta(days=2)).isoformat()}
+    Assets(store.database).add_finding(store.diagnosis(key), FindingIn.model_validate(said))
+    assert step(keeper_of(store, KeyError("is not asked")))
+    row = Assets(store.database).asset("press-8")
+    assert (row.state, [reason.about for reason in row.judged]) == ("unknown", ["wear"])
+    assert "were diagnosed together only" in row.judged[0].text
+
+
+def test_what_was_repaired_stays_so_where_following_fails(alarmed: Store) -> None:
+    key = diagnosed(alarmed, stored(alarmed), asset="press-7", verdict="worn")
+    due = Standings(alarmed.database).take(now())
+    assert due is not None
+    Standings(alarmed.database).settle(due, Known(heard_at=now(), verdict="worn", diagnosis=key, repaired=True), now())
+    with alarmed.database.writing() as session:
+        session.get_one(AssetRow, asset(alarmed).number).changes += 1
+    keeper = keeper_of(alarmed, PASSING["late"]())
+    for _ in range(MOST_FAILURES):
+        again(alarmed)
+        assert step(keeper)
+    assert [reason.about for reason in asset(alarmed).judged] == ["wear"]
+
+
+@pytest.mark.parametrize("has_finding", [False, True])
+def test_another_date_of_what_teaches_makes_all_of_the_kind_due(store: Store, has_finding: bool) -> None:
+    assets = Assets(store.database)
+    for name in ("press-1", "press-2"):
+        assets.put(name, AssetIn(machine="press"))
+    measured = stored(store)
+    key = diagnosed(store, measured, asset="press-1")
+    if has_finding:
+        found = {"joints": {"A": {"clearance_um": 140}}, "at": now().isoformat()}
+        assets.add_finding(store.diagnosis(key), FindingIn.model_validate(found))
+    before = assets.asset("press-2").changes
+    store.correct_moment(measured.id, now() - timedelta(days=3))
+    assert assets.asset("press-2").changes - before == has_finding

@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 import math
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -12,10 +14,12 @@ from recordings import RECORDINGS
 from scipy.special import ndtr
 
 from jointplay.catalogue.diagnosing.answer import Diagnosis
+from jointplay.catalogue.diagnosing.causes import NamedCause
 from jointplay.catalogue.diagnosing.diagnosis import diagnose
+from jointplay.catalogue.diagnosing.heard import Heard
 from jointplay.catalogue.diagnosing.hearing import hear
 from jointplay.catalogue.diagnosing.question import MOST_TOGETHER, Question
-from jointplay.catalogue.diagnosing.together import conclude, diagnose_together
+from jointplay.catalogue.diagnosing.together import _causes, conclude, diagnose_together
 from jointplay.catalogue.errors import DiagnosisError, MeasurementError
 from jointplay.catalogue.matching.matcher import ClearanceEstimate, HypothesisMatch, MatchResult
 from jointplay.catalogue.matching.model_library import library_of
@@ -255,13 +259,23 @@ def test_recordings_of_two_machines_contradict(small_catalogue: Catalogue) -> No
     assert any(line.startswith(f"{odd.name}: contradicts the others") for line in answer.warnings)
 
 
+def test_that_a_cause_has_come_since_is_what_most_say() -> None:
+    """Whichever is the first."""
+    told = [NamedCause("mount 1", 0.6, "x stiffness", 0.9, since=since) for since in (True, True, False)]
+    for order in (told, told[::-1]):
+        (cause,) = _causes([cast(Heard, SimpleNamespace(causes=(each,))) for each in order])
+        assert cause.since
+    one_of_two = _causes([cast(Heard, SimpleNamespace(causes=(each,))) for each in told[1:]])
+    assert not one_of_two[0].since
+
+
 def test_what_only_a_load_reconciles_is_said(small_catalogue: Catalogue) -> None:
     """It may as well be older than the wear, or newer than a repair: that the recordings do not say."""
     in_order, worn = recording(1), recording(2)
     answer = diagnose_together([in_order, worn], small_catalogue, effort="fast")
     assert answer.hypotheses[0].label == "B"
     assert [share.held_shut for share in answer.recordings] == [("B",), ()]
-    said = f"{in_order.name}: looks as healthy; it agrees if a load held B shut, not if it was made before the wear"
+    said = f"{in_order.name}: looks to have B in order; it agrees if a load held B shut, not if it was made before the"
     assert any(line.startswith(said) for line in answer.warnings)
 
 
