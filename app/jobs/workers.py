@@ -367,7 +367,9 @@ async def run_in(
     attempted: Callable[..., WorkerOutcome] = attempt_for,
 ) -> WorkerOutcome:
     """Run one task in a process, for the request that this is about."""
-    return await asyncio.wrap_future(worker.submit(attempted, logs.request_id(), task, args))
+    # Whoever no longer waits does not cancel it: of a process that died, the pool reports to every future, and ends at
+    # one that is cancelled (Python 3.11.7), so that the process is never waited for. What it was at ends with it.
+    return await asyncio.shield(asyncio.wrap_future(worker.submit(attempted, logs.request_id(), task, args)))
 
 
 def end(worker: OneProcess) -> None:

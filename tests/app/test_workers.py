@@ -15,6 +15,8 @@ from jointplay.app.errors import BusyError, ClientGoneError, SlowRequestError, T
 from jointplay.app.jobs import workers
 from jointplay.app.jobs.clients import Client, working_for
 from jointplay.app.jobs.workers import TaskFailedError, WorkerPool
+from jointplay.app.logs import DEFAULT_LOG
+from jointplay.catalogue.processes import OneProcess
 from jointplay.solver.errors import MachineError
 
 
@@ -102,6 +104,30 @@ def test_a_worker_that_dies_is_replaced() -> None:
             assert await pool.run(double, 1) == 2
         finally:
             pool.close()
+
+    asyncio.run(story())
+
+
+def test_a_process_that_dies_when_nobody_waits_for_it_any_more_is_waited_for() -> None:
+    """Its pool may see its death before it hears that it is to end."""
+
+    async def story() -> None:
+        worker = OneProcess(workers.prepare, DEFAULT_LOG)
+        try:
+            for _ in range(3):  # more than its pool hands on at a time
+                worker.submit(pid)
+            process = worker.pid
+            assert process is not None
+            os.kill(process, signal.SIGSTOP)
+            starting = asyncio.create_task(workers.run_in(worker, pid, ()))
+            await asyncio.sleep(0)
+            starting.cancel()
+            await asyncio.wait([starting])
+            os.kill(process, signal.SIGKILL)
+            assert await gone(process)
+            assert (await workers.run_in(worker, double, (1,))).value == 2
+        finally:
+            workers.end(worker)
 
     asyncio.run(story())
 
