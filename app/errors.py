@@ -185,7 +185,6 @@ class TimeLimitError(AppError):
 
     def __init__(self, message: str, seconds: int | None = None) -> None:
         super().__init__(message)
-        self.goes_on = seconds is not None
         self.headers = {} if seconds is None else {"Retry-After": str(seconds)}
 
 

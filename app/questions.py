@@ -9,6 +9,7 @@ from typing import Any
 
 from jointplay.app.errors import BadFieldError, DeletedError, UnknownMeasurementError
 from jointplay.app.jobs import tasks
+from jointplay.app.jobs.following import MOST_LESSONS
 from jointplay.app.schemas.resources import DiagnosisRequest
 from jointplay.app.shelves.catalogues import CatalogueShelf, Offer
 from jointplay.app.speeds import speed_of
@@ -19,9 +20,6 @@ from jointplay.app.storage.repairs import is_between
 from jointplay.app.storage.rows import MeasurementRow
 from jointplay.app.storage.store import Store
 from jointplay.catalogue.diagnosing.question import MOST_TOGETHER
-
-MOST_FINDINGS = 10_000
-"""Of an asset, that are looked through for repairs."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +113,7 @@ class Questions:
     def _check_one_state(self, rows: Sequence[MeasurementRow], asset: AssetRow, field: str) -> None:
         """Refuse recordings of an asset between which a joint was repaired: one answer is of one state."""
         moments = [row.measured_at for row in rows]
-        known = Assets(self.store.database).findings(None, MOST_FINDINGS, only={"asset": asset.external_id}, damaged=[])
+        known = Assets(self.store.database).findings(None, MOST_LESSONS, only={"asset": asset.external_id}, damaged=[])
         for found in known:
             repaired = sorted(name for name, told in found.joints.items() if told.get("repaired"))
             if repaired and is_between([found.at], moments):

@@ -134,7 +134,8 @@ async def handle(request: Request, error: Exception) -> Response:
         problem = replace(problem, headers={**problem.headers, "Allow": ", ".join(find_methods(request))})
     if problem.status >= 500:
         known = isinstance(error, AppError) and problem.status != 500
-        level = logging.INFO if isinstance(error, TimeLimitError) and error.goes_on else logging.ERROR
+        goes_on = isinstance(error, TimeLimitError) and bool(error.headers)
+        level = logging.INFO if goes_on else logging.ERROR
         log.log(level, "%s", problem.detail, exc_info=None if known else error)
     return answer(request, problem)
 

@@ -133,14 +133,10 @@ class StandingKeeper:
                 raise error
         self._failures.pop(due.external_id, None)
         failure = str(error)[:200]
+        if isinstance(error, NothingToFollowError):  # but perhaps an answer across a repair: that is of no state
+            return Known(heard_at=told.heard_at, failure=failure)
         if not may_pass(error) and not isinstance(error, DamagedRowError):
-            # All there is may be an answer across a repair: it is of no state that the machine was in.
-            nothing = isinstance(error, NothingToFollowError)
-            return (
-                Known(heard_at=told.heard_at, failure=failure)
-                if nothing
-                else told.model_copy(update={"failure": failure})
-            )
+            return told.model_copy(update={"failure": failure})
         last = Known.model_validate(due.last)  # it is no better for that
         kept = {"joints": last.joints, "causes": last.causes, "failure": failure}
         return told.model_copy(update={**kept, "repaired": last.repaired and last.diagnosis == told.diagnosis})

@@ -219,7 +219,7 @@ def moments_of(session: Session, external_id: str) -> dict[str, datetime]:
     DamagedRowError
     """
     query = select(MeasurementRow).where(MeasurementRow.id.in_(measurements_of(external_id)))
-    return dict(columns_of(session, query, MeasurementRow.id, MeasurementRow.measured_at))
+    return dict(read_columns(session, query, MeasurementRow.id, MeasurementRow.measured_at))
 
 
 def recordings_of(session: Session, external_id: str) -> dict[int, list[str]]:
@@ -231,11 +231,11 @@ def recordings_of(session: Session, external_id: str) -> dict[int, list[str]]:
     """
     query = newest(session, DiagnosisRow, None, MOST_VISITS, diagnoses_of(external_id))
     columns = (DiagnosisRow.number, DiagnosisRow.measurement, DiagnosisRow.request)
-    found = columns_of(session, query, *columns)
+    found = read_columns(session, query, *columns)
     return {number: request.get("measurements") or [measurement] for number, measurement, request in found}
 
 
-def columns_of(session: Session, query: Any, *columns: Any) -> Sequence[Any]:
+def read_columns(session: Session, query: Any, *columns: Any) -> Sequence[Any]:
     """Return columns of rows whose rest is too much to be read for them; which row is damaged is told.
 
     Raises
