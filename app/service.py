@@ -139,8 +139,8 @@ class Service:
         finally:
             self.store.uploads.settle(upload)
 
-    async def follow(self, external_id: str) -> WearState:
-        """Return the state of wear of an asset.
+    async def follow(self, external_id: str, up_to: DiagnosisRow | None = None) -> WearState:
+        """Return the state of wear of an asset, or what it was by all up to the recording of a diagnosis of it.
 
         Raises
         ------
@@ -149,7 +149,7 @@ class Service:
         NothingToFollowError
             When none of its recordings was diagnosed.
         """
-        life = await run_in_threadpool(following.gather, self.store, external_id)
+        life = await run_in_threadpool(following.gather, self.store, external_id, up_to)
         state: WearState = await self.pool.run(following.follow_life, life)
         return state
 

@@ -143,11 +143,5 @@ def report(state: WearState) -> str:
         for row in shown["joints"]
     ]  # fmt: skip
     head = ("joint", "worn", "radial clearance (90 % interval)", "grows by", "limit", "reached (90 %)", "sure since")
-    parts = [f"By {state.visits} recordings, the last of {shown['at']} UTC:", indent(table(head, rows)), shown["moved"]]
-    for cause in shown["causes"]:
-        moves = f" ({cause['moves']})" if cause["moves"] else ""
-        parts.append(f"Besides: {cause['name']}, {cause['size']}{moves}, {cause['percent']}.")
-    parts += [
-        f"Joint {repair['joint']} was repaired by {repair['at']}, {repair['percent']}." for repair in shown["repairs"]
-    ]
-    return "\n".join(parts)
+    said = f"By {state.visits} recordings, the last of {shown['at']} UTC:"
+    return "\n".join([said, indent(table(head, rows)), shown["moved"], *shown["besides"]])

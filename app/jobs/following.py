@@ -6,7 +6,7 @@ from collections import defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, Any
 
 from sqlalchemy import select
@@ -35,6 +35,9 @@ SOON, BEFORE = timedelta(days=31), timedelta(days=1)
 Chosen, not fitted: a joint that wears gains 100 um a year in the median (USUAL of catalogue.following.play), so less
 than 10 um in a month, beside an error of 5 % of a clearance that somebody measures. What is found later is wear as well
 as an error of the model. A day before, because who only knows the date of an inspection tells its midnight."""
+
+NEVER = datetime.min.replace(tzinfo=UTC)
+"""Before all that was recorded."""
 
 NO_EVIDENCE: dict[str, Any] = {"orders": [], "bands": [], "rival": None}
 """Levels are most of an answer, and nothing here asks for them."""
@@ -65,8 +68,8 @@ class Life:
     limits_um: Mapping[str, float]
 
 
-def gather(store: Store, asset: str) -> Life:
-    """Return what is known of an asset.
+def gather(store: Store, asset: str, up_to: DiagnosisRow | None = None) -> Life:
+    """Return what is known of an asset, or what was recorded and found up to the recording of a diagnosis.
 
     Every recording counts once, by its bytes: in the newest answer that several have together, or else in its own; in a
     common answer without a verdict, as where recordings contradict each other, only if it has none of its own. One that
@@ -89,7 +92,12 @@ def gather(store: Store, asset: str) -> Life:
     # Whoever diagnoses a recording for an asset notes it as one of the asset's.
     recordings = store.measurements(None, MOST_RECORDINGS, measurements_of(asset), gone=True)
     own = assets.findings(None, MOST_LESSONS, only={"asset": asset})
-    counted = _counted(diagnoses, recordings, repairs_of(own))
+    made = _made(recordings)
+    counted = _counted(diagnoses, made, repairs_of(own))
+    if up_to:
+        until = max((made[key][1] for key in up_to.measurements if key in made), default=NEVER)
+        own = [found for found in own if found.at <= until]
+        counted = [each for each in counted if each[0] <= until]
     if not counted:
         said = "its recordings were diagnosed together only, those of before a repair with those of after it"
         raise NothingToFollowError(f"asset {asset}: {said}", field="asset")
@@ -102,24 +110,31 @@ def gather(store: Store, asset: str) -> Life:
     )
 
 
-def _counted(
-    diagnoses: Sequence[DiagnosisRow], recordings: Sequence[MeasurementRow], repairs: Sequence[datetime]
-) -> list[tuple[datetime, str, DiagnosisRow]]:
-    """Return the answers that count, each with the moment and the name of what it is of."""
-    known = {each.id: each.sha256 for each in recordings}
-    # The same bytes by several names were made once: when somebody says, or else when they were first received.
+def _made(recordings: Sequence[MeasurementRow]) -> dict[str, tuple[str, datetime]]:
+    """Return the bytes of recordings by their ids, and when they were made.
+
+    The same bytes by several names were made once: when somebody says, or else when they were first received.
+    """
     made: dict[str, tuple[bool, datetime]] = {}
     for each in recordings:
         moment = (each.measured_at_source == "received", each.measured_at)
         made[each.sha256] = min(made.get(each.sha256, moment), moment)
+    return {each.id: (each.sha256, made[each.sha256][1]) for each in recordings}
+
+
+def _counted(
+    diagnoses: Sequence[DiagnosisRow], made: Mapping[str, tuple[str, datetime]], repairs: Sequence[datetime]
+) -> list[tuple[datetime, str, DiagnosisRow]]:
+    """Return the answers that count, each with the moment and the name of what it is of."""
     heard: set[str] = set()
     counted: list[tuple[datetime, str, DiagnosisRow]] = []
     for answer in sorted(diagnoses, key=_turn):  # the newest of each kind first
-        bytes_of = sorted({known[key] for key in answer.measurements if key in known})
-        moments = [made[key][1] for key in bytes_of]
-        if moments and heard.isdisjoint(bytes_of) and not is_between(repairs, moments):
+        moments = {made[key] for key in answer.measurements if key in made}
+        bytes_of = sorted(sha256 for sha256, _ in moments)
+        at = [moment for _, moment in moments]
+        if at and heard.isdisjoint(bytes_of) and not is_between(repairs, at):
             heard.update(bytes_of)
-            counted.append((max(moments), " ".join(bytes_of), answer))
+            counted.append((max(at), " ".join(bytes_of), answer))
     return counted
 
 

@@ -29,22 +29,8 @@ def show_state(state: WearState, findings: Sequence[FindingRow] = ()) -> dict[st
         "at": spell_moment(state.at),
         "visits": state.visits,
         "joints": [joint_row(name, found) for name, found in joints],
-        "causes": [
-            {
-                "name": name,
-                "percent": percent(cause.probability),
-                "size": f"{cause.size:.3g} {cause.unit}",
-                "moves": f"{cause.per_year:+.2g} a year" if cause.per_year else "",
-                "since": day(cause.since),
-            }
-            for name, cause in state.causes.items()
-            if cause.probability >= WORN
-        ],
-        "repairs": [
-            {"joint": repair.joint, "at": day(repair.at), "percent": percent(repair.probability)}
-            for repair in state.repairs
-        ],
         "moved": what_moved(state),
+        "besides": what_besides(state),
         "chart": chart(state, findings),
     }
 
@@ -59,6 +45,35 @@ def what_moved(state: WearState) -> str:
     if not told:
         return "The last recording has changed little of which joints are worn."
     return f"The last recording has moved the probability of wear of {'; '.join(told)}."
+
+
+def what_besides(state: WearState) -> list[str]:
+    """Return in words which causes other than play there are, and what was repaired."""
+    told = []
+    for name, cause in state.causes.items():
+        if cause.probability >= WORN:
+            moves = f" ({cause.per_year:+.2g} a year)" if cause.per_year else ""
+            since = f", since {day(cause.since)}" if cause.since else ""
+            told.append(f"Besides: {name}, {cause.size:.3g} {cause.unit}{moves}, {percent(cause.probability)}{since}.")
+    for repair in state.repairs:
+        told.append(f"Joint {repair.joint} was repaired by {day(repair.at)}, {percent(repair.probability)}.")
+    return told
+
+
+def past_words(state: WearState) -> tuple[str, ...]:
+    """Return in words, for a report, what all recordings up to one say of an asset; nothing of a single one."""
+    if state.visits < 2:
+        return ()
+    shown = show_state(state)
+    worn = [row for row in shown["joints"] if row["condition"] == "worn"]
+    by = f"By all {state.visits} recordings up to here"
+    told = [
+        f"{by}, joint {row['name']} is worn, {row['percent']}: {row['clearance']} ({row['interval']}), {row['rate']};"
+        f" limit {row['limit']}, reached {row['reached']}{', likely ' + row['likely'] if row['likely'] else ''}"
+        f"{'; sure since ' + row['sure'] if row['sure'] else ''}."
+        for row in worn
+    ]
+    return (*(told or [f"{by} no joint is worn."]), shown["moved"], *shown["besides"])
 
 
 def joint_row(name: str, found: JointFollowed) -> dict[str, Any]:

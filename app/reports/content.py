@@ -83,6 +83,8 @@ class Report:
         What to look at.
     form : tuple of tuple of str
         Joints, and the diametral play that is expected, of the box in which a finding is noted by hand.
+    past : tuple of str
+        What all recordings of the asset up to this one say; none where this is its first.
     at : datetime
         When the diagnosis was made.
     method : tuple of Named
@@ -105,6 +107,7 @@ class Report:
     suggestions: tuple[str, ...]
     inspection: tuple[str, ...]
     form: tuple[tuple[str, str], ...]
+    past: tuple[str, ...]
     at: datetime
     method: tuple[Named, ...]
     warnings: tuple[str, ...]
@@ -118,6 +121,7 @@ def report_of(
     asset: str | None = None,
     notes: str = "",
     gone: Sequence[str] = (),
+    past: tuple[str, ...] = (),
 ) -> Report:
     """Return what the report of a diagnosis says.
 
@@ -132,6 +136,8 @@ def report_of(
         Of that asset: where it stands.
     gone : sequence of str
         Which of its recordings were deleted since.
+    past : tuple of str
+        What all recordings of the asset up to this one say.
     """
     result = row.answer
     return Report(
@@ -155,6 +161,7 @@ def report_of(
         suggestions=suggestions(result),
         inspection=inspection(result),
         form=form(result),
+        past=past,
         at=row.created_at,
         method=method(row),
         warnings=tuple(warnings(result.warnings)),

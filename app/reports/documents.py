@@ -29,7 +29,7 @@ SCALES = (1.0, 0.95, 0.9, 0.85, 0.8, 0.7, 0.6, 0.5)
 ACCENT, SOFT, LINE, BACK = "#1f5fa8", "#566373", "#d4dae1", "#f3f5f8"
 SIDES = {"worn": "#b54708", "in_order": "#0b6b8f", "changed": "#6b21a8", "unknown": "#626262"}
 FINDING = "What was found (to be reported to this diagnosis)"
-PAST = "Radial clearance of this asset up to here"
+PAST = "State of wear of this asset up to here"
 RESPONSE = "What the frame answers to forces. Dashed: orders that the drive shakes it with."
 
 _lock = threading.Lock()  # the library keeps fonts and styles for the whole process
@@ -116,10 +116,12 @@ def content(report: Report, figures: ReportFigures, wide: float, room: float = 0
 def trend_and_form(report: Report, figures: ReportFigures, wide: float, room: float) -> list[Any]:
     """Return the past of the asset beside the box for the finding, or that box alone."""
     half = (wide - GUTTER) / 2
-    if not figures.trend:
+    if not report.past:
         return [heading(FINDING), finding_box(report, wide, room)]
-    trend = [heading(PAST), drawing(figures.trend, half, FIGURE_HEIGHT + room), text(SAID, 6.8, SOFT)]
-    return [beside(trend, [heading(FINDING), finding_box(report, half, room)], half)]
+    past = [heading(PAST), *texts(report.past)]
+    if figures.trend:
+        past += [drawing(figures.trend, half, FIGURE_HEIGHT + room), text(SAID, 6.8, SOFT)]
+    return [beside(past, [heading(FINDING), finding_box(report, half, room)], half)]
 
 
 def finding_box(report: Report, wide: float, room: float) -> Any:

@@ -11,32 +11,30 @@ from jointplay.app.reports.figures import INK, SOFT, Scale, label, line
 WIDTH, HEIGHT = 360.0, 170.0
 LEFT, RIGHT, TOP, BOTTOM = 38.0, 12.0, 24.0, 24.0
 COLOURS = ("#1297d9", "#a37a29", "#5412d9", "#0b8484", "#41085e", "#522914")
-SIGNS = {"in_order": "✓", "changed": "△", "unknown": "?", "finding": "◆"}
-SAID = "✓ in order   △ changed   ? no verdict   ◆ found by an inspection"
+SIGNS = {"repair": "↺", "finding": "◆"}
+SAID = "By all recordings up to each, with 90 % intervals.   ↺ repaired   ◆ found by an inspection"
 STEPS_UM = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000)
 DATES = 4
 
 
-def trend_svg(data: Mapping[str, Any], limits: Mapping[str, float]) -> str:
-    """Return clearances with their 90 % intervals over time, the signs of the page's chart, and limits of wear.
+def trend_svg(data: Mapping[str, Any]) -> str:
+    """Return clearances with their 90 % intervals over time, repairs and findings, and limits of wear.
 
     Parameters
     ----------
     data : Mapping
-        ``joints`` and ``events`` as the chart on the asset's page has them.
-    limits : Mapping
-        Of joints [µm]; drawn for those that have a clearance.
+        ``joints``, ``events`` and ``limits`` as the chart of the state of wear on the asset's page has them.
     """
     joints, events = data["joints"], data["events"]
     marked = [point for joint in joints for point in joint["points"]]
     times = [point["at"] for point in marked] + [event["at"] for event in events]
-    drawn = [limits[joint["name"]] for joint in joints if joint["name"] in limits]
+    limits = [limit["um"] for limit in data["limits"]]
     highs = [point["high"] for point in marked] + [event.get("um") or 0.0 for event in events]
-    top = 1.1 * max([1.0, *highs, *drawn])
+    top = 1.1 * max([1.0, *highs, *limits])
     across = Scale(min(times), max(times), LEFT + 14, WIDTH - RIGHT - 14)
     up = Scale(0.0, top, HEIGHT - BOTTOM, TOP)
     parts = [*_grid(across, up, top, min(times), max(times)), label(LEFT, 11, "radial clearance, µm", INK, "start", 10)]
-    for limit in sorted(set(drawn)):
+    for limit in limits:
         y = up(limit)
         parts.append(
             f'<line x1="{LEFT:.1f}" y1="{y:.1f}" x2="{WIDTH - RIGHT:.1f}" y2="{y:.1f}" stroke="{INK}"'

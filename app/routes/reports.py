@@ -6,26 +6,27 @@ import hashlib
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, Query, Request
-from sqlalchemy import select
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
+from jointplay.app.errors import NothingToFollowError, UnknownAssetError
 from jointplay.app.etags import matches, respond
 from jointplay.app.http.openapi import problems
 from jointplay.app.http.query import chosen_type
-from jointplay.app.pages.history import chart, measured
+from jointplay.app.pages.wear_state import chart, past_words
 from jointplay.app.reports.content import Report, report_of
 from jointplay.app.reports.documents import html, pdf, policy
 from jointplay.app.reports.figures import ReportFigures, figures_of
 from jointplay.app.reports.trend import trend_svg
 from jointplay.app.service import Service, of_request
-from jointplay.app.storage.assets import Assets, diagnoses_of
-from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
+from jointplay.app.storage.assets import Assets
+from jointplay.app.storage.rows import DiagnosisRow
+from jointplay.catalogue.following.state import WearState
 from jointplay.solver.machines.machine import parse_machine
 
 router = APIRouter(prefix="/diagnoses", tags=["diagnoses"])
 
-MOST_PAST = 200  # diagnoses of an asset, the newest so many, that a report draws
+SHOWN = 200  # findings at an asset, the newest so many, that a report draws
 
 HTML_TYPE, PDF_TYPE = "text/html", "application/pdf"
 FORMATS = {"html": HTML_TYPE, "pdf": PDF_TYPE}
@@ -49,7 +50,8 @@ async def report(request: Request, key: str, format: Format = None) -> Response:
     row = await run_in_threadpool(service.store.diagnosis, key)
     machine = await run_in_threadpool(parse_machine, row.machine)
     response = await service.draw_response(machine, phase=False)
-    said, figures = await run_in_threadpool(find_report, service, row, response)
+    past = await find_past(service, row)
+    said, figures = await run_in_threadpool(find_report, service, row, response, past)
     page = await run_in_threadpool(html, said, figures)
     digest = hashlib.sha256(page.encode()).hexdigest()
     if media == HTML_TYPE:
@@ -66,30 +68,26 @@ async def report(request: Request, key: str, format: Format = None) -> Response:
     return answer
 
 
-def find_report(service: Service, row: DiagnosisRow, response: str) -> tuple[Report, ReportFigures]:
+async def find_past(service: Service, row: DiagnosisRow) -> WearState | None:
+    """Return what all recordings of an asset up to that of a diagnosis say; None where they say nothing together."""
+    asset = row.request.get("asset")
+    try:
+        return None if asset is None else await service.follow(asset, row)
+    except (UnknownAssetError, NothingToFollowError):  # it may have been deleted since
+        return None
+
+
+def find_report(
+    service: Service, row: DiagnosisRow, response: str, past: WearState | None
+) -> tuple[Report, ReportFigures]:
     """Return what the report of a stored diagnosis says and shows, the response of the frame drawn already."""
     measurement, gone = service.store.measurement_of(row), service.store.deleted_of(row)
     asset = row.request.get("asset")
-    found = Assets(service.store.database)
-    known = found.known(asset) if asset else None  # it may have been deleted since
-    if known is None:
-        return report_of(row, measurement, asset, gone=gone), figures_of(row, response)
-    return report_of(row, measurement, asset, known.notes, gone), figures_of(
-        row, response, find_trend(service, found, row)
-    )
-
-
-def find_trend(service: Service, assets: Assets, row: DiagnosisRow) -> str:
-    """Return the past of the asset up to the recording of a diagnosis; empty where that is its first one."""
-    asset = row.request["asset"]
-    diagnoses = service.store.diagnoses(None, MOST_PAST, among=diagnoses_of(asset))
-    used = {key for each in (row, *diagnoses) for key in each.measurements}
-    among = select(MeasurementRow.id).where(MeasurementRow.id.in_(used))
-    measurements = {each.id: each for each in service.store.measurements(None, len(used), among, gone=True)}
-    end = measured(row, measurements)
-    past = [each for each in diagnoses if measured(each, measurements) <= end]
-    if len({each.measurements for each in past}) < 2:
-        return ""
-    findings = [each for each in assets.findings(None, MOST_PAST, only={"asset": asset}) if each.at <= end]
-    limits = {name: state.limit_um for name, state in row.answer.joints.items()}
-    return trend_svg(chart(past, measurements, findings)["data"], limits)
+    assets = Assets(service.store.database)
+    known = assets.known(asset) if asset else None
+    if known is None or past is None or past.visits < 2:
+        return report_of(row, measurement, asset, known.notes if known else "", gone), figures_of(row, response)
+    findings = [each for each in assets.findings(None, SHOWN, only={"asset": asset}) if each.at <= past.at]
+    drawn = chart(past, findings)
+    trend = trend_svg(drawn["data"]) if drawn else ""
+    return report_of(row, measurement, asset, known.notes, gone, past_words(past)), figures_of(row, response, trend)

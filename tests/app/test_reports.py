@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import io
 import re
 from collections.abc import Iterator
@@ -13,6 +14,7 @@ import httpx
 import pytest
 from answers import hypothesis, joint
 from pypdf import PdfReader
+from recordings import RECORDINGS
 
 from jointplay.app import words
 from jointplay.app.http.handlers import templates
@@ -160,22 +162,35 @@ def extent_of(reader: PdfReader) -> tuple[float, float]:
     return min(heights), max(heights)
 
 
-def test_the_past_of_an_asset_is_drawn_up_to_the_recording(client: httpx.Client, worn: bytes, in_order: bytes) -> None:
+def test_the_state_of_wear_stands_in_a_report_up_to_its_recording(
+    client: httpx.Client, worn: bytes, in_order: bytes
+) -> None:
     client.put(f"{API}/assets/trend-1", json={"machine": "slider-crank"})
     keys = []
-    for month, content in ((1, in_order), (5, worn)):
+    again = gzip.decompress((RECORDINGS / "slider-crank-05.csv.gz").read_bytes())
+    for month, content in ((1, in_order), (5, worn), (7, again)):
         fields = {"catalogue": "slider-crank", "effort": "fast", "asset": "trend-1"}
         fields["measured_at"] = f"2024-0{month}-01T06:00:00Z"
         answer = client.post(f"{API}/diagnoses", files={"file": (f"{month}.csv", content)}, data=fields)
         assert answer.status_code == 201, answer.text
         keys.append(answer.json()["id"])
-    first, second = (client.get(f"{API}/diagnoses/{key}/report?format=html").text for key in keys)
-    assert "Radial clearance over time" not in first
-    assert "Radial clearance over time" in second
+    repair = {"joints": {"B": {"repaired": True}}, "at": "2024-06-01T06:00:00Z"}
+    client.post(f"{API}/diagnoses/{keys[1]}/finding", json=repair).raise_for_status()
+    first, second, third = (client.get(f"{API}/diagnoses/{key}/report?format=html").text for key in keys)
+    assert "up to here" not in first
+    assert "By all 2 recordings up to here, joint B is worn, " in second
+    said = re.search(r"The last recording has moved the probability of wear of (.*)\.</p>", second)
+    assert said and "B from " in said[1], second[second.index("up to here") :][:600]
+    assert "Joint B was repaired by" not in second, "that came later"
     drawn = second[second.index("Radial clearance over time") :]
     drawn = drawn[: drawn.index("</svg>")]
-    assert [text in drawn for text in ("● B", "✓", "limit", "2024-01-01", "2024-05-01")] == [True] * 5
-    assert "up to here" in text_of(client.get(f"{API}/diagnoses/{keys[1]}/report?format=pdf").content)
+    # Joint B is drawn from when it was worn on.
+    assert [text in drawn for text in ("● B", "limit", "2024-01-01", "2024-05-01")] == [True, True, False, True]
+    assert "Joint B was repaired by 2024-06-01, " in third, third[third.index("up to here") - 50 :][:900]
+    assert "By all 3 recordings up to here" in third
+    now = client.get(f"{API}/assets/trend-1/state").json()
+    assert now["visits"] == 3 and len(now["repairs"]) == 1
+    assert "up to here" in text_of(client.get(f"{API}/diagnoses/{keys[2]}/report?format=pdf").content)
 
 
 def test_severity_and_likelihood_stand_apart(rows: tuple[DiagnosisRow, MeasurementRow]) -> None:
