@@ -202,7 +202,7 @@ def _apart(result: Answer) -> str:
     if not result.suggestions:
         return ""
     best = result.suggestions[0]
-    how = {"sensor": "with sensor", "direction": "in direction", "speed": "at"}[best.kind]
+    how = {"sensor": "with sensor", "direction": "in direction", "speed": "at", "load": "under a load of"}[best.kind]
     return f"measure {how} {best.what} as well, to tell {' and '.join(best.hypotheses)} apart"
 
 

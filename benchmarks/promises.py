@@ -1,11 +1,13 @@
-"""How often promises of suggestions come true: a recording at another speed, and what both together then say.
+"""How often promises of suggestions come true: a recording at another speed or load, and what both together then say.
 
     python -m second_simulator --protocol pairs --machine slider-crank --count 8 --out recordings [--factor 0.8]
+    python -m second_simulator --protocol held-shut --machine slider-crank --count 24 --out recordings
     python -m benchmarks.promises recordings --catalogues DIR [--before DIR]
 
-Every recording of a machine that has some at several speeds is answered by itself; for each speed that it suggests, of
-which there is a recording, the promise (share of mistakes) is compared with whether the common answer names the worn
-joints, and with how probable that answer holds them. Recordings from before, of the same names, serve as baselines.
+Every recording of a machine that has some at several speeds or loads is answered by itself; for each of these that it
+suggests, of which there is a recording, the promise (share of mistakes) is compared with whether the common answer
+names the worn joints, and with how probable that answer holds them. Recordings from before, of the same names, serve as
+baselines.
 """
 
 from __future__ import annotations
@@ -16,13 +18,15 @@ import json
 import math
 import sys
 from collections import defaultdict
+from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from benchmarks.real_machines import interval, recorded_before
 from jointplay.app.tables import table
+from jointplay.catalogue.diagnosing.answer import Suggestion
 from jointplay.catalogue.diagnosing.heard import Heard
 from jointplay.catalogue.diagnosing.hearing import hear
 from jointplay.catalogue.diagnosing.known_machine import KnownMachine
@@ -32,6 +36,7 @@ from jointplay.catalogue.diagnosing.together import conclude
 from jointplay.catalogue.matching.model_library import library_of
 from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum, read_recording
 from jointplay.catalogue.measurements.measurement import Recording, read_measurement
+from jointplay.catalogue.plans.day_load import DayLoad
 from jointplay.catalogue.signals.features import prepare
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.storage.store import Catalogue
@@ -54,7 +59,7 @@ class Promise(NamedTuple):
 
 
 def promises(folder: Path, catalogues: Path, before: Path | None = None) -> list[Promise]:
-    """Ask each recording for another speed, and take it; beside what was recorded before.
+    """Ask each recording for another speed or load, and take it; beside what was recorded before.
 
     Ends the program where one of these is missing.
     """
@@ -76,8 +81,7 @@ def promises(folder: Path, catalogues: Path, before: Path | None = None) -> list
             heard = {name: _heard(truth_file.with_name(f"{name}.npz"), catalogue, known) for name in names}
             for name, other in itertools.permutations(names, 2):
                 alone = tell(heard[name], catalogue, QUESTION, library_of(catalogue), suggesting=True)
-                rpm = truths[other]["speed_rpm"]
-                asked = [each for each in alone.suggestions if each.kind == "speed" and near_to(each.what, rpm)]
+                asked = [each for each in alone.suggestions if is_of(each, truths[other])]
                 if not asked:
                     continue
                 # With fast nothing more is suggested, which would cost as much again.
@@ -103,9 +107,14 @@ def _heard(file: Path, catalogue: Catalogue, known: KnownMachine | None) -> Hear
     return hear(_prepared(recording, catalogue), recording.sha256, catalogue, QUESTION, library, known=known)
 
 
-def near_to(what: str, rpm: float) -> bool:
-    """Whether a suggested speed is that of a recording."""
-    return abs(math.log(float(what.removesuffix(" rpm")) / rpm)) < 0.05
+def is_of(suggestion: Suggestion, truth: Mapping[str, Any]) -> bool:
+    """Whether a recording is at the suggested speed, or under the suggested load."""
+    if suggestion.kind == "speed":
+        return abs(math.log(float(suggestion.what.removesuffix(" rpm")) / truth["speed_rpm"])) < 0.05
+    if suggestion.kind == "load":
+        asked = DayLoad.model_validate({"force": suggestion.what})
+        return bool(asked.holds(np.array([truth["load_n"]["constant"]]))[0])
+    return False
 
 
 def main() -> int:

@@ -230,11 +230,11 @@ class Suggestion(Frozen):
 
     Attributes
     ----------
-    kind : {"sensor", "direction", "speed"}
+    kind : {"sensor", "direction", "speed", "load"}
         A sensor of the machine file, or one at another point; another direction where there is a sensor; a recording
-        at another drive speed besides this one.
+        at another drive speed besides this one; one under another constant load on the output.
     what : str
-        In words: "s2-y", "y at (0.2, -0.1) m", "96 rpm".
+        In words: "s2-y", "y at (0.2, -0.1) m", "96 rpm", "-300 N".
     hypotheses : tuple of str
         Labels that are told apart.
     separation_now, separation : float
@@ -247,7 +247,7 @@ class Suggestion(Frozen):
         What it is expected to say of which of them is true.
     """
 
-    kind: Literal["sensor", "direction", "speed"]
+    kind: Literal["sensor", "direction", "speed", "load"]
     what: str
     hypotheses: tuple[str, ...]
     separation_now: float

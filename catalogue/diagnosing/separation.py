@@ -1,4 +1,4 @@
-"""What would tell the first hypotheses apart: another sensor, another direction, another speed.
+"""What would tell the first hypotheses apart: another sensor, another direction, another speed, another load.
 
 Entries of the catalogue near the clearances in question are looked at through the sensors there are, and through one
 more; how far the hypotheses lie apart in what is then seen, measured in their own scatter, says what is worth doing.
@@ -10,7 +10,8 @@ import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from functools import cached_property
+from typing import Literal, NamedTuple
 
 import numpy as np
 import scipy.linalg
@@ -18,11 +19,13 @@ import scipy.spatial.distance
 from scipy.special import log_softmax, ndtr, ndtri
 
 from jointplay.catalogue.diagnosing.answer import Suggestion
-from jointplay.catalogue.diagnosing.comparison import LEAST_NOISE_DENSITY, exact_sensing
+from jointplay.catalogue.diagnosing.comparison import LEAST_NOISE_DENSITY, exact_sensing, features_of
 from jointplay.catalogue.matching.discrepancy import Discrepancy
 from jointplay.catalogue.matching.matcher import HypothesisMatch, MatchResult
 from jointplay.catalogue.matching.observation import Sensing, observe
 from jointplay.catalogue.matching.together import Likeness
+from jointplay.catalogue.plans.cases import output_loads
+from jointplay.catalogue.plans.day_load import DayLoad
 from jointplay.catalogue.signals.feature_bands import join_bands
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.signals.sensors import free_motions
@@ -59,7 +62,7 @@ def suggest(
     prepared: PreparedMeasurement,
     result: MatchResult,
     *,
-    others: Sequence[float] = (),
+    others: Sequence[PreparedMeasurement] = (),
     count: int = 5,
 ) -> tuple[Suggestion, ...]:
     """Rank what would tell the first hypotheses apart.
@@ -71,8 +74,8 @@ def suggest(
         The recording that was matched.
     result : MatchResult
         Its answer.
-    others : sequence of float
-        Drive speeds [rad/s] of further recordings that the answer is of.
+    others : sequence of PreparedMeasurement
+        Further recordings that the answer is of.
     count : int
         Suggestions at most.
 
@@ -88,7 +91,8 @@ def suggest(
     measured on the others, with the entries' own scatter, noise and discrepancies: the share on the wrong side of the
     middle, and d' with Phi(-d' / 2) = error. Another sensor is taken to be as noisy as the median of those there are;
     several recordings count as they do in a common answer that has not heard the machine's past
-    (:class:`~jointplay.catalogue.matching.together.Likeness`).
+    (:class:`~jointplay.catalogue.matching.together.Likeness`). Where a plan has loads, those that recordings seem to
+    be under are no suggestions.
     What the answer is sure of already is known: what is gained follows from what separates the hypotheses *more* than
     now, beginning with their probabilities (:func:`foresee`).
     """
@@ -96,20 +100,30 @@ def suggest(
     if len(contenders) < 2:
         contenders = list(result.hypotheses[:2])
     question = _Separation(catalogue, prepared, tuple(contenders))
-    if len(contenders) < 2 or not question.answerable(prepared.drive_speed):
+    if len(contenders) < 2 or not question.answerable(Day(prepared.drive_speed)):
         return ()
-    heard = [prepared.drive_speed, *others]
+    heard = [question.day_of(each) for each in (prepared, *others)]
     now = question.of_recordings(heard)
     if 1.0 - question.probability.max() < LEAST_ERROR:
         return ()
     found = []
     for kind, what, sensing in _more_sensors(prepared, catalogue.machine):
         found.append(question.suggestion(kind, what, now, question.of_recordings(heard, sensing)))
-    for speed in question.other_speeds(heard):
-        then = question.of_recordings([*heard, speed])
-        found.append(question.suggestion("speed", f"{speed * 30 / math.pi:.4g} rpm", now, then))
+    for day in question.other_speeds(heard):
+        then = question.of_recordings([*heard, day])
+        found.append(question.suggestion("speed", f"{day.speed * 30 / math.pi:.4g} rpm", now, then))
+    for day in question.other_loads(heard):
+        then = question.of_recordings([*heard, day])
+        found.append(question.suggestion("load", str(day.load), now, then))
     worth = [each for each in found if each.error < (1.0 - LEAST_GAIN) * each.error_now]
     return tuple(sorted(worth, key=lambda each: -each.information_bits)[:count])
+
+
+class Day(NamedTuple):
+    """Of a recording: drive speed [rad/s], and load of the plan, where that has several."""
+
+    speed: float
+    load: DayLoad | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,41 +133,79 @@ class _Separation:
     catalogue: Catalogue
     prepared: PreparedMeasurement
     contenders: tuple[HypothesisMatch, ...]
-    known: dict[float, FloatArray] = field(default_factory=dict)
-    """Separation by the recording's own sensors, by stored speed."""
+    known: dict[tuple[float, DayLoad | None], FloatArray] = field(default_factory=dict)
+    """Separation by the recording's own sensors, by stored speed and load."""
 
     @property
     def matrix(self) -> FeatureMatrix:
         return self.catalogue.matrix
 
-    def answerable(self, speed: float) -> bool:
-        """Whether every hypothesis has entries enough at a drive speed [rad/s]."""
-        return all(len(self.matrix.rows(match.label, speed=speed)) >= LEAST_ENTRIES // 2 for match in self.contenders)
+    @cached_property
+    def loads(self) -> tuple[DayLoad, ...]:
+        """Those of the catalogue's plan, where there are several."""
+        loads = self.catalogue.plan.loads or ()
+        return loads if len(loads) > 1 else ()
 
-    def other_speeds(self, heard: Sequence[float]) -> list[float]:
-        """Speeds [rad/s] of the catalogue's plan but those next to recordings, those with entries enough."""
+    @cached_property
+    def load_of_rows(self) -> FloatArray:
+        """Load of every entry of the catalogue, N or N m."""
+        return output_loads(self.catalogue.machine, self.matrix.numbers)
+
+    def entries(self, match: HypothesisMatch, day: Day) -> IntArray:
+        """Rows of a hypothesis at a drive speed, and under a load where one is given."""
+        if day.load is None:
+            return np.asarray(self.matrix.rows(match.label, speed=day.speed), dtype=np.int64)
+        # Wide draws have loads of their own besides.
+        rows = np.asarray(self.matrix.rows(match.label, "trusted", speed=day.speed), dtype=np.int64)
+        return rows[day.load.holds(self.load_of_rows[rows])]
+
+    def answerable(self, day: Day) -> bool:
+        """Whether every hypothesis has entries enough for a day."""
+        return all(len(self.entries(match, day)) >= LEAST_ENTRIES // 2 for match in self.contenders)
+
+    def day_of(self, prepared: PreparedMeasurement) -> Day:
+        """The day of a recording: its speed, and of the plan's loads the one that it is likeliest under."""
+        days = [day for load in self.loads if self.answerable(day := Day(prepared.drive_speed, load))]
+        if len(days) < 2:
+            return Day(prepared.drive_speed)
+        sensing = exact_sensing(prepared)
+        feature = features_of(prepared, sensing)
+        return min(days, key=lambda day: min(_distance(feature, drawn) for drawn, _ in self.draw(sensing, day)))
+
+    def other_speeds(self, heard: Sequence[Day]) -> Iterator[Day]:
+        """Days at speeds of the catalogue's plan but those next to recordings, under the load of the first."""
         nominal = abs(self.catalogue.recipe.nominal_drive_speed)
         speeds = [nominal * factor for factor in self.catalogue.plan.speeds]
-        near = {min(speeds, key=lambda speed: abs(math.log(speed / turned))) for turned in heard}
-        return [speed for speed in speeds if speed not in near and self.answerable(speed)]
+        near = {min(speeds, key=lambda speed: abs(math.log(speed / day.speed))) for day in heard}
+        days = (heard[0]._replace(speed=speed) for speed in speeds if speed not in near)
+        yield from filter(self.answerable, days)
 
-    def of_recordings(self, speeds: Sequence[float], sensing: Sensing | None = None) -> FloatArray:
-        """Squared separation of every pair of hypotheses by recordings at some drive speeds, the first by other sensors
+    def other_loads(self, heard: Sequence[Day]) -> Iterator[Day]:
+        """Days under loads of the catalogue's plan that no recording seems to be under, at the speed of the first."""
+        known = {day.load for day in heard}
+        if None not in known:
+            yield from filter(
+                self.answerable, (heard[0]._replace(load=each) for each in self.loads if each not in known)
+            )
+
+    def of_recordings(self, days: Sequence[Day], sensing: Sensing | None = None) -> FloatArray:
+        """Squared separation of every pair of hypotheses by recordings of some days, the first by other sensors
         where these are given.
         """
-        stored = [self.matrix.nearest_speed(speed) for speed in speeds]
-        for factor, speed in zip(stored, speeds, strict=True):
-            if factor not in self.known:
-                self.known[factor] = self.squared_distances(exact_sensing(self.prepared), speed)
-        apart = [self.known[factor] for factor in stored]
+        stored = [self.matrix.nearest_speed(day.speed) for day in days]
+        kinds = [(factor, day.load) for factor, day in zip(stored, days, strict=True)]
+        for kind, day in zip(kinds, days, strict=True):
+            if kind not in self.known:
+                self.known[kind] = self.squared_distances(exact_sensing(self.prepared), day)
+        apart = [self.known[kind] for kind in kinds]
         if sensing is not None:
-            apart[0] = self.squared_distances(sensing, speeds[0])
+            apart[0] = self.squared_distances(sensing, days[0])
         found: FloatArray = Likeness().weights(stored) @ np.array(apart)
         return found
 
-    def rows(self, match: HypothesisMatch, speed: float) -> IntArray:
-        """Entries of a hypothesis whose clearances lie within its intervals, or nearest to them."""
-        rows = np.asarray(self.matrix.rows(match.label, speed=speed), dtype=np.int64)
+    def rows(self, match: HypothesisMatch, day: Day) -> IntArray:
+        """Entries of a hypothesis for a day whose clearances lie within its intervals, or nearest to them."""
+        rows = self.entries(match, day)
         clearances = self.matrix.clearance(rows)
         away = np.zeros(len(rows))
         for estimate in match.clearances:
@@ -164,17 +216,19 @@ class _Separation:
         keep = int(np.clip(np.sum(away <= 1.0), LEAST_ENTRIES, MOST_ENTRIES))
         return rows[order[:keep]]
 
-    def squared_distances(self, sensing: Sensing, speed: float) -> FloatArray:
-        """Squared separation of every pair of hypotheses, seen through these sensors at a drive speed."""
-        features, cases = [], []
+    def draw(self, sensing: Sensing, day: Day) -> list[tuple[FloatArray, IntArray]]:
+        """Features (m, d) of every hypothesis for a day, seen through these sensors, and the entry of each."""
+        found = []
         for number, match in enumerate(self.contenders):
-            rows = self.rows(match, speed)
+            rows = self.rows(match, day)
             copies = np.full(len(rows), COPIES, dtype=np.int64)
-            drawn, entry = observe(self.matrix.packed(rows), sensing, Discrepancy(), copies, number)
-            features.append(drawn)
-            cases.append(entry)
-        pairs = itertools.combinations(range(len(features)), 2)
-        return np.array([_separate_held_out(features[i], cases[i], features[j], cases[j]) for i, j in pairs])
+            found.append(observe(self.matrix.packed(rows), sensing, Discrepancy(), copies, number))
+        return found
+
+    def squared_distances(self, sensing: Sensing, day: Day) -> FloatArray:
+        """Squared separation of every pair of hypotheses, seen through these sensors on a day."""
+        drawn = self.draw(sensing, day)
+        return np.array([_separate_held_out(*one, *other) for one, other in itertools.combinations(drawn, 2)])
 
     @property
     def probability(self) -> FloatArray:
@@ -188,7 +242,7 @@ class _Separation:
         return float(weights @ ndtr(-0.5 * np.sqrt(squared)) / weights.sum())
 
     def suggestion(
-        self, kind: Literal["sensor", "direction", "speed"], what: str, now: FloatArray, then: FloatArray
+        self, kind: Literal["sensor", "direction", "speed", "load"], what: str, now: FloatArray, then: FloatArray
     ) -> Suggestion:
         """What it brings that pairs are as far apart as `then`, in place of `now`, squared."""
         error, information = foresee(self.probability, np.maximum(then - now, 0.0))
@@ -241,6 +295,12 @@ def foresee(probability: FloatArray, squared: FloatArray) -> tuple[float, float]
     own = said[np.arange(count), :, np.arange(count)]
     information = probability @ (own @ share - np.log(probability)) / math.log(2.0)
     return float(np.clip(error, 0.0, 1.0)), max(0.0, float(information))
+
+
+def _distance(feature: FloatArray, drawn: FloatArray) -> float:
+    """How unlikely a feature vector (d,) is to be one of those drawn (m, d), by each of its numbers by itself."""
+    variance = np.maximum(drawn.var(axis=0), 1e-12)
+    return float(np.mean((feature - drawn.mean(axis=0)) ** 2 / variance + np.log(variance)))
 
 
 def _separate_held_out(first: FloatArray, first_case: IntArray, second: FloatArray, second_case: IntArray) -> float:

@@ -30,6 +30,7 @@ from jointplay.catalogue.diagnosing.verdict import (
     speed_warnings,
 )
 from jointplay.catalogue.matching.model_library import ModelLibrary, one_thread
+from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.version import __version__
 
@@ -45,6 +46,7 @@ def tell(
     *,
     mapping: Mapping[str, str] | None = None,
     suggesting: bool = False,
+    others: Sequence[PreparedMeasurement] = (),
     recordings: Sequence[RecordingShare] = (),
     warnings: Sequence[str] = (),
     said: Sequence[object] = (),
@@ -57,6 +59,8 @@ def tell(
         What a recording says; of several, what they say together, and else of the first that counts.
     catalogue, question, library, mapping, suggesting
         As for :func:`~jointplay.catalogue.diagnosing.diagnosis.answer`.
+    others : sequence of PreparedMeasurement
+        Further recordings that count.
     recordings : sequence of RecordingShare
         What each of several has contributed.
     warnings : sequence of str
@@ -78,9 +82,6 @@ def tell(
     ]
     with one_thread():
         joints = joint_states(result, catalogue, question.coverage, question.limits_um)
-    others = [
-        share.drive_speed_rpm * math.pi / 30.0 for share in recordings if share.weight and share.sha256 != heard.sha256
-    ]
     unclear = suggesting and heard.verdict in ("worn", "in_order") and result.best.probability < CLEAR
     with one_thread():
         suggestions = suggest(catalogue, prepared, result, others=others) if unclear else ()

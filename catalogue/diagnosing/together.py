@@ -181,6 +181,7 @@ def conclude(
         library,
         mapping=mapping,
         suggesting=question.effort != "fast",
+        others=[each.prepared for each in used[1:]],
         recordings=shares,
         warnings=told,
         said=[[each.sha256, each.prepared.drive_speed, list(each.prepared.notes)] for each in heard],

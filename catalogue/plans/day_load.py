@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated, Self
 
+import numpy as np
 from pydantic import model_validator
 
+from jointplay.solver.arrays import BoolArray, FloatArray
 from jointplay.solver.machines.fields import QuantityField, RuleError
 from jointplay.solver.machines.parts import Part
 from jointplay.solver.machines.units import FORCE, TORQUE
@@ -38,6 +40,12 @@ class DayLoad(Part):
     def size(self) -> float:
         """Of the load, N or N m."""
         return self.force or self.torque or 0.0
+
+    def holds(self, loads: FloatArray) -> BoolArray:
+        """Which loads (n,), N or N m, are this one on some day; none but nothing at all is where it is nothing."""
+        low, high = DAY_LOAD
+        share = loads / self.size if self.size else np.where(loads == 0.0, 1.0, np.inf)
+        return np.asarray((share > low - 1e-9) & (share < high + 1e-9))
 
     def __str__(self) -> str:
         """In words: ``-300 N``."""

@@ -3,24 +3,32 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from loaded import SHORT
 from recordings import RECORDINGS
 
 from jointplay.catalogue.building.build import build
 from jointplay.catalogue.diagnosing.comparison import exact_sensing
-from jointplay.catalogue.diagnosing.separation import _more_sensors, _sensing, _Separation, foresee, suggest
+from jointplay.catalogue.diagnosing.separation import Day, _more_sensors, _sensing, _Separation, foresee, suggest
+from jointplay.catalogue.evaluation.protocols import draw_truth
+from jointplay.catalogue.evaluation.recordings import Recordings
+from jointplay.catalogue.evaluation.recordings import recorded as recording_of
 from jointplay.catalogue.matching.discrepancy import Discrepancy
 from jointplay.catalogue.matching.matcher import ClearanceEstimate, HypothesisMatch, MatchResult
 from jointplay.catalogue.matching.observation import Sensing, observe
 from jointplay.catalogue.measurements.measurement import Recording, read_measurement
+from jointplay.catalogue.plans.cases import output_loads
+from jointplay.catalogue.plans.entry import Hypothesis
 from jointplay.catalogue.plans.plan import parse_plan
 from jointplay.catalogue.signals.features import prepare
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.machines.machine import shipped_machine
+from jointplay.solver.machines.parts import Load
 
 PLAN = {
     "name": "speeds",
@@ -89,7 +97,7 @@ def nearest_entry_errs(catalogue: Catalogue, question: _Separation, sensing: Sen
     """Share of entries whose nearest other entry is of the other hypothesis."""
     draws = []
     for seed, match in enumerate(question.contenders):
-        own = question.rows(match, question.prepared.drive_speed)
+        own = question.rows(match, Day(question.prepared.drive_speed))
         copies = np.full(len(own), 3, dtype=np.int64)
         draws.append(observe(catalogue.matrix.packed(own), sensing, Discrepancy(), copies, seed))
     wrong = total = 0
@@ -112,9 +120,9 @@ def test_another_matcher_finds_what_was_promised(small_catalogue: Catalogue) -> 
     prepared, machine = recorded(small_catalogue, (0,)), small_catalogue.machine
     question = _Separation(small_catalogue, prepared, answer(("A", 0.5), ("B", 0.5)).hypotheses)
     now = exact_sensing(prepared)
-    errors = [question.mistaken(question.squared_distances(sensing, prepared.drive_speed)) for sensing in (now,)]
+    errors = [question.mistaken(question.squared_distances(sensing, Day(prepared.drive_speed))) for sensing in (now,)]
     ranked = sorted(
-        (question.mistaken(question.squared_distances(sensing, prepared.drive_speed)), number, sensing)
+        (question.mistaken(question.squared_distances(sensing, Day(prepared.drive_speed))), number, sensing)
         for number, (_, _, sensing) in enumerate(_more_sensors(prepared, machine))
     )
     before, after = (nearest_entry_errs(small_catalogue, question, each) for each in (now, ranked[0][2]))
@@ -132,9 +140,51 @@ def test_speeds_that_the_catalogue_holds(tmp_path: Path) -> None:
     assert [each.what for each in speeds] == ["480 rpm"]
     assert speeds[0].separation > speeds[0].separation_now
     # Recorded there as well, nothing is left to record at another speed.
-    both = suggest(catalogue, recorded(catalogue, (0,)), answer(("A", 0.5), ("B", 0.5)), others=[50.0], count=30)
+    one = recorded(catalogue, (0,))
+    other = replace(one, speed=replace(one.speed, speed=50.0))
+    both = suggest(catalogue, recorded(catalogue, (0,)), answer(("A", 0.5), ("B", 0.5)), others=[other], count=30)
     assert not [each for each in both if each.kind == "speed"]
     assert {each.separation_now for each in both} == {speeds[0].separation}
+
+
+def test_loads_that_the_catalogue_holds(tmp_path: Path) -> None:
+    """A load that holds joints shut: the other one is suggested, and tells more; which a recording has is seen."""
+    draws = {"healthy": 40, "single": 40}
+    plan = parse_plan({**PLAN, "draws": draws, "speeds": [1.0], "loads": [{"force": "-330 N"}, {"force": "0 N"}]})
+    machine = shipped_machine("slider-crank")
+    build(machine, plan, tmp_path / "loads", workers=0)
+    catalogue = Catalogue.open(tmp_path / "loads")
+    held, free = plan.loads or ()
+    matrix = catalogue.matrix
+    loads = output_loads(machine, matrix.numbers)
+    rows = matrix.rows("A")
+    assert len(rows) == 80 and sum(held.holds(loads[rows])) == sum(free.holds(loads[rows])) == 40
+    assert np.all(loads[rows][held.holds(loads[rows])] < -0.79 * 330.0)
+
+    undecided = answer(("healthy", 0.5), ("A", 0.5))
+    shut = recorded_under(catalogue, -330.0)
+    question = _Separation(catalogue, shut, undecided.hypotheses)
+    assert question.day_of(shut).load == held
+    assert question.day_of(recorded(catalogue, (0, 1, 2, 3))).load == free
+    found = {each.what: each for each in suggest(catalogue, shut, undecided, count=30) if each.kind == "load"}
+    assert list(found) == ["0 N"]
+    assert found["0 N"].separation > 1.5 * found["0 N"].separation_now and found["0 N"].error < 0.2
+    # Under a load that lets joints rattle nothing more is to be had of one that holds them shut.
+    assert not [
+        each for each in suggest(catalogue, recorded(catalogue, (0, 1, 2, 3)), undecided) if each.kind == "load"
+    ]
+    both = suggest(catalogue, shut, undecided, others=[recorded(catalogue, (0, 1, 2, 3))], count=30)
+    assert not [each for each in both if each.kind == "load"]
+
+
+def recorded_under(catalogue: Catalogue, force: float) -> PreparedMeasurement:
+    """A worn machine under a constant load on its output, recorded."""
+    truth = draw_truth(catalogue.machine, Hypothesis.of(["A"]), SHORT, 5, 1)
+    load = Load(link="slider", at=(0.2, 0.05), force=(force, 0.0))
+    truth = replace(truth, machine=truth.machine.model_copy(update={"loads": (load,)}))
+    ((_, ideal),) = Recordings().ideal(SHORT, [truth])
+    assert ideal is not None
+    return prepare(recording_of(SHORT, truth, ideal), catalogue.machine, scheme=catalogue.scheme)
 
 
 def test_what_is_foreseen_of_two() -> None:
