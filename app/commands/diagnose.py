@@ -14,7 +14,6 @@ from jointplay.app import words
 from jointplay.app.commands.answers_table import Answered, answer_each, check_table, summary
 from jointplay.app.commands.parameters import (
     Pairs,
-    QuantityOption,
     baseline_option,
     each_once,
     existing_catalogue,
@@ -22,6 +21,7 @@ from jointplay.app.commands.parameters import (
     json_option,
     print_json,
     refuse_given,
+    speeds_option,
 )
 from jointplay.app.commands.progress import ProgressLine
 from jointplay.app.errors import BadFieldError, RefusedFilesError
@@ -45,13 +45,7 @@ if TYPE_CHECKING:
 @click.option(
     "--catalogue", type=click.Path(path_type=Path), required=True, metavar="DIR", help="Folder of the catalogue."
 )
-@click.option(
-    "--speed",
-    "speeds",
-    type=QuantityOption("ANGULAR_SPEED"),
-    multiple=True,
-    help='Drive speed, such as "600 rpm", of each measurement in turn; estimated when not given.',
-)
+@speeds_option
 @click.option(
     "--effort",
     type=click.Choice(["fast", "standard", "thorough"]),

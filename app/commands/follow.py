@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from jointplay.app.commands.diagnose import read_baselines, read_measurements
+from jointplay.app.commands.diagnose import check_counts, read_baselines, read_measurements
 from jointplay.app.commands.parameters import (
     Pairs,
     baseline_option,
@@ -17,6 +17,7 @@ from jointplay.app.commands.parameters import (
     existing_catalogue,
     file_options,
     json_option,
+    speeds_option,
 )
 from jointplay.app.fields import PROFILE
 from jointplay.app.tables import indent, table
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
     show_default=True,
     help="How much to compute for each measurement.",
 )
+@speeds_option
 @baseline_option
 @click.option(
     "--found",
@@ -63,6 +65,7 @@ def command(
     measurements: Sequence[Path],
     catalogue: Path,
     effort: Effort,
+    speeds: Sequence[float],
     baselines: Sequence[Path],
     found: Sequence[tuple[str, str]],
     repaired: Sequence[tuple[str, str]],
@@ -81,6 +84,7 @@ def command(
     from jointplay.catalogue.following.visits import Visit
     from jointplay.catalogue.storage.store import Catalogue
 
+    check_counts(measurements, told, speeds)
     inspections = list(read_inspections(found, repaired))
     recordings, said = read_measurements(measurements, told, profile)
     for file, recording in zip(measurements, recordings, strict=True):
@@ -89,10 +93,12 @@ def command(
     opened = Catalogue.open(existing_catalogue(catalogue))
     sensors, in_order = each_once(mapping, "--map") or None, read_baselines(baselines, said, profile)
     visits = []
-    for recording in recordings:
+    for place, recording in enumerate(recordings):
         assert recording.measured_at is not None
         past = [each for each in in_order if each.sha256 != recording.sha256]
-        answer = diagnose(recording, opened, effort=effort, mapping=sensors, baseline=past)
+        answer = diagnose(
+            recording, opened, speed=speeds[place] if speeds else None, effort=effort, mapping=sensors, baseline=past
+        )
         visits.append(Visit(recording.measured_at, recording.sha256, answer))
     bounds = bounds_of(opened.machine, visits[0].answer.joints)
     state = follow(visits, inspections, bounds=bounds)

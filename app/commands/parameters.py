@@ -227,6 +227,14 @@ fault_option = click.option(
     help="Radial clearance of all worn joints; by default what the machine's file gives, mostly none.",
 )
 
+speeds_option = click.option(
+    "--speed",
+    "speeds",
+    type=QuantityOption("ANGULAR_SPEED"),
+    multiple=True,
+    help='Drive speed, such as "600 rpm", of each measurement in turn; estimated when not given.',
+)
+
 baseline_option = click.option(
     "--baseline",
     "baselines",

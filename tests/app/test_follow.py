@@ -39,6 +39,14 @@ def test_beside_recordings_of_the_machine_in_order(shelf: Path) -> None:
     assert beside["joints"]["B"]["p_worn"] > 0.9
 
 
+def test_speeds_that_are_given(shelf: Path) -> None:
+    asked = ("--catalogue", shelf / "slider-crank", "--effort", "fast", *MOMENTS)
+    told = invoke("follow", *FILES, *asked, "--speed", "601 rpm", "--speed", "602 rpm").stdout
+    assert told.endswith("slider-crank-02.csv.gz 601 rpm, slider-crank-05.csv.gz 602 rpm\n")
+    refused = invoke("follow", *FILES, *asked, "--speed", "600 rpm")
+    assert_refused(refused, 2, "'--speed': 1 for 2 measurements: must be one for each, or none")
+
+
 def test_a_last_recording_that_says_what_others_said(shelf: Path) -> None:
     asked = ("--catalogue", shelf / "slider-crank", "--effort", "fast", "--json")
     state = WearState.model_validate_json(invoke("follow", *FILES, *asked, *MOMENTS).stdout)
