@@ -197,13 +197,15 @@ def _after_wear(result: Answer) -> str:
     return f"lock the drive out and measure the play of {joints} across the pin"
 
 
+SUGGESTED = {"sensor": "with sensor", "direction": "in direction", "speed": "at", "load": "under a process load of"}
+
+
 def _apart(result: Answer) -> str:
     """What would tell the first hypotheses apart best; empty where nothing is suggested."""
     if not result.suggestions:
         return ""
     best = result.suggestions[0]
-    how = {"sensor": "with sensor", "direction": "in direction", "speed": "at", "load": "under a load of"}[best.kind]
-    return f"measure {how} {best.what} as well, to tell {' and '.join(best.hypotheses)} apart"
+    return f"measure {SUGGESTED[best.kind]} {best.what} as well, to tell {' and '.join(best.hypotheses)} apart"
 
 
 def _to_tell(joints: Sequence[str]) -> str:

@@ -36,7 +36,7 @@ from jointplay.catalogue.diagnosing.together import conclude
 from jointplay.catalogue.matching.model_library import library_of
 from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum, read_recording
 from jointplay.catalogue.measurements.measurement import Recording, read_measurement
-from jointplay.catalogue.plans.day_load import DayLoad
+from jointplay.catalogue.plans.day_load import DayLoad, loads_held
 from jointplay.catalogue.signals.features import prepare
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.storage.store import Catalogue
@@ -111,9 +111,11 @@ def is_of(suggestion: Suggestion, truth: Mapping[str, Any]) -> bool:
     """Whether a recording is at the suggested speed, or under the suggested load."""
     if suggestion.kind == "speed":
         return abs(math.log(float(suggestion.what.removesuffix(" rpm")) / truth["speed_rpm"])) < 0.05
-    if suggestion.kind == "load":
-        asked = DayLoad.model_validate({"force": suggestion.what})
-        return bool(asked.holds(np.array([truth["load_n"]["constant"]]))[0])
+    load = truth.get("load_n")
+    if suggestion.kind == "load" and isinstance(load, Mapping):
+        unit = "torque" if suggestion.what.endswith("m") else "force"
+        asked = DayLoad.model_validate({unit: suggestion.what})
+        return int(loads_held([asked], np.array([float(load["constant"])]))[0]) == 0
     return False
 
 

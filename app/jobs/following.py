@@ -36,8 +36,8 @@ Chosen, not fitted: a joint that wears gains 100 um a year in the median (USUAL 
 than 10 um in a month, beside an error of 5 % of a clearance that somebody measures. What is found later is wear as well
 as an error of the model. A day before, because who only knows the date of an inspection tells its midnight."""
 
-NEVER = datetime.min.replace(tzinfo=UTC)
-"""Before all that was recorded."""
+NEVER, ENDLESS = datetime.min.replace(tzinfo=UTC), datetime.max.replace(tzinfo=UTC)
+"""Before and after all that was recorded."""
 
 NO_EVIDENCE: dict[str, Any] = {"orders": [], "bands": [], "rival": None}
 """Levels are most of an answer, and nothing here asks for them."""
@@ -75,6 +75,15 @@ def gather(store: Store, asset: str, up_to: DiagnosisRow | None = None) -> Life:
     common answer without a verdict, as where recordings contradict each other, only if it has none of its own. One that
     is common to recordings of before and after a repair does not count: it is of no state that the machine was in.
 
+    Parameters
+    ----------
+    store : Store
+    asset : str
+        External id.
+    up_to : DiagnosisRow, optional
+        Of the asset: what was recorded or found after its last recording is left out, wherever it was, and machine and
+        limits are its own. By all there is unless given.
+
     Raises
     ------
     UnknownAssetError
@@ -93,20 +102,21 @@ def gather(store: Store, asset: str, up_to: DiagnosisRow | None = None) -> Life:
     recordings = store.measurements(None, MOST_RECORDINGS, measurements_of(asset), gone=True)
     own = assets.findings(None, MOST_LESSONS, only={"asset": asset})
     made = _made(recordings)
-    counted = _counted(diagnoses, made, repairs_of(own))
+    latest, until = diagnoses[0], ENDLESS
     if up_to:
-        until = max((made[key][1] for key in up_to.measurements if key in made), default=NEVER)
+        latest, until = up_to, max((made[key][1] for key in up_to.measurements if key in made), default=NEVER)
         own = [found for found in own if found.at <= until]
-        counted = [each for each in counted if each[0] <= until]
+        diagnoses = [each for each in diagnoses if _is_before(each, up_to, made, until)]
+    counted = _counted(diagnoses, made, repairs_of(own))
     if not counted:
         said = "its recordings were diagnosed together only, those of before a repair with those of after it"
         raise NothingToFollowError(f"asset {asset}: {said}", field="asset")
     return Life(
-        machine=diagnoses[0].machine,
+        machine=latest.machine,
         visits=[(at, key, _without_evidence(each)) for at, key, each in counted],
         findings=[(found.at, found.id, found.joints) for found in own],
-        lessons=[(_without_evidence(answer), found.joints) for answer, found in _lessons(store, row.machine)],
-        limits_um=row.limits_um,
+        lessons=[(_without_evidence(answer), found.joints) for answer, found in _lessons(store, row.machine, until)],
+        limits_um=latest.request.get("limits_um", {}) if up_to else row.limits_um,
     )
 
 
@@ -138,9 +148,21 @@ def _counted(
     return counted
 
 
-def _lessons(store: Store, machine: str) -> Iterator[tuple[DiagnosisRow, FindingRow]]:
-    """Give answers of machines of one kind, and what was found soon after; a row that is damaged teaches nothing."""
+def _is_before(
+    each: DiagnosisRow, up_to: DiagnosisRow, made: Mapping[str, tuple[str, datetime]], until: datetime
+) -> bool:
+    """Return whether all that an answer is of was made up to a moment; common answers were to be there already."""
+    is_early = all(made[key][1] <= until for key in each.measurements if key in made)
+    return is_early and (len(each.measurements) == 1 or each.created_at <= up_to.created_at)
+
+
+def _lessons(store: Store, machine: str, until: datetime) -> Iterator[tuple[DiagnosisRow, FindingRow]]:
+    """Give answers of machines of one kind, and what was found soon after, up to a moment.
+
+    A row that is damaged teaches nothing.
+    """
     fleet = Assets(store.database).findings_of_machine(machine, MOST_LESSONS, damaged=[])
+    fleet = [found for found in fleet if found.at <= until]
     at_asset: dict[str | None, list[FindingRow]] = defaultdict(list)
     for found in fleet:
         at_asset[found.asset].append(found)

@@ -18,6 +18,9 @@ WORN = 0.5
 MOVED = 0.05
 """Change of a probability of wear, by the last recording, from which on it is told."""
 
+SHOWN = 6
+"""Causes and repairs that a report tells."""
+
 LOOKS = 6
 """Looks of joints in charts."""
 
@@ -56,24 +59,44 @@ def what_besides(state: WearState) -> list[str]:
             since = f", since {day(cause.since)}" if cause.since else ""
             told.append(f"Besides: {name}, {cause.size:.3g} {cause.unit}{moves}, {percent(cause.probability)}{since}.")
     for repair in state.repairs:
-        told.append(f"Joint {repair.joint} was repaired by {day(repair.at)}, {percent(repair.probability)}.")
+        at = (
+            f"by {day(repair.at)}, {percent(repair.probability)}"
+            if repair.probability < 1.0
+            else f"on {day(repair.at)}"
+        )
+        told.append(f"Joint {repair.joint} was repaired {at}.")
     return told
 
 
 def past_words(state: WearState) -> tuple[str, ...]:
-    """Return in words, for a report, what all recordings up to one say of an asset; nothing of a single one."""
-    if state.visits < 2:
-        return ()
-    shown = show_state(state)
-    worn = [row for row in shown["joints"] if row["condition"] == "worn"]
-    by = f"By all {state.visits} recordings up to here"
-    told = [
-        f"{by}, joint {row['name']} is worn, {row['percent']}: {row['clearance']} ({row['interval']}), {row['rate']};"
-        f" limit {row['limit']}, reached {row['reached']}{', likely ' + row['likely'] if row['likely'] else ''}"
-        f"{'; sure since ' + row['sure'] if row['sure'] else ''}."
-        for row in worn
+    """Return in words, for a report, what the answers to all recordings up to one say of an asset."""
+    likeliest = max(state.joints, key=lambda name: state.joints[name].p_worn)
+    worn = {name: found for name, found in state.joints.items() if found.p_worn >= WORN}
+    said = [joint_words(name, found) for name, found in worn.items()] or [
+        f"No joint is likelier worn than not; joint {likeliest} is with {percent(state.joints[likeliest].p_worn)}."
     ]
-    return (*(told or [f"{by} no joint is worn."]), shown["moved"], *shown["besides"])
+    besides = what_besides(state)
+    more = [f"{len(besides) - SHOWN} more on the page of the asset."] if len(besides) > SHOWN else []
+    by = f"The verdict above is by its recording; this is by all {state.visits} answers up to it."
+    return (by, *said, what_moved(state), *besides[:SHOWN], *more)
+
+
+def joint_words(name: str, found: JointFollowed) -> str:
+    """Return what is known of a worn joint in two sentences."""
+    early, likely, late = found.limit_at
+    limit = f"its limit of {length(found.limit_um)}"
+    if found.p_over_limit >= WORN:
+        reached = f"it is beyond {limit}"
+    elif early is None:
+        reached = f"{limit} is not foreseen to be reached"
+    else:
+        reached = f"it reaches {limit} {f'between {day(early)} and {day(late)}' if late else f'from {day(early)} on'}"
+        reached += f", likely {day(likely)}" if likely else ""
+    sure = f", sure since {day(found.first_sure_at)}" if found.first_sure_at else ""
+    return (
+        f"Joint {name} is worn, {percent(found.p_worn)}{sure}: {length(found.clearance_um)}"
+        f" ({between(*found.interval_um)}), growing by {micrometres(found.um_per_year)} µm a year; {reached}."
+    )
 
 
 def joint_row(name: str, found: JointFollowed) -> dict[str, Any]:

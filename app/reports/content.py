@@ -84,7 +84,7 @@ class Report:
     form : tuple of tuple of str
         Joints, and the diametral play that is expected, of the box in which a finding is noted by hand.
     past : tuple of str
-        What all recordings of the asset up to this one say; none where this is its first.
+        What the answers to all recordings of the asset up to this one say; empty where there are no others.
     at : datetime
         When the diagnosis was made.
     method : tuple of Named
@@ -137,7 +137,7 @@ def report_of(
     gone : sequence of str
         Which of its recordings were deleted since.
     past : tuple of str
-        What all recordings of the asset up to this one say.
+        What the answers to all recordings of the asset up to this one say.
     """
     result = row.answer
     return Report(

@@ -15,6 +15,8 @@ SIGNS = {"repair": "↺", "finding": "◆"}
 SAID = "By all recordings up to each, with 90 % intervals.   ↺ repaired   ◆ found by an inspection"
 STEPS_UM = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000)
 DATES = 4
+MOST_POINTS = 100
+"""Of a joint, the last so many: more are drawn one over the other."""
 
 
 def trend_svg(data: Mapping[str, Any]) -> str:
@@ -25,7 +27,7 @@ def trend_svg(data: Mapping[str, Any]) -> str:
     data : Mapping
         ``joints``, ``events`` and ``limits`` as the chart of the state of wear on the asset's page has them.
     """
-    joints, events = data["joints"], data["events"]
+    joints, events = [{**joint, "points": joint["points"][-MOST_POINTS:]} for joint in data["joints"]], data["events"]
     marked = [point for joint in joints for point in joint["points"]]
     times = [point["at"] for point in marked] + [event["at"] for event in events]
     limits = [limit["um"] for limit in data["limits"]]

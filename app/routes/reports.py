@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, Query, Request
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
-from jointplay.app.errors import NothingToFollowError, UnknownAssetError
+from jointplay.app.errors import DamagedRowError, DeletedError, NothingToFollowError, UnknownAssetError
 from jointplay.app.etags import matches, respond
 from jointplay.app.http.openapi import problems
 from jointplay.app.http.query import chosen_type
+from jointplay.app.jobs.following import MOST_LESSONS
+from jointplay.app.jobs.workers import TaskFailedError
 from jointplay.app.pages.wear_state import chart, past_words
 from jointplay.app.reports.content import Report, report_of
 from jointplay.app.reports.documents import html, pdf, policy
@@ -26,7 +29,11 @@ from jointplay.solver.machines.machine import parse_machine
 
 router = APIRouter(prefix="/diagnoses", tags=["diagnoses"])
 
-SHOWN = 200  # findings at an asset, the newest so many, that a report draws
+#: The report of a diagnosis is there without the state of wear of its asset, where that cannot be told: it was deleted
+#: since, only answers across a repair are of it, or one of its rows is damaged.
+NOT_FOLLOWED = (UnknownAssetError, DeletedError, NothingToFollowError, DamagedRowError, TaskFailedError)
+
+log = logging.getLogger(__name__)
 
 HTML_TYPE, PDF_TYPE = "text/html", "application/pdf"
 FORMATS = {"html": HTML_TYPE, "pdf": PDF_TYPE}
@@ -69,12 +76,14 @@ async def report(request: Request, key: str, format: Format = None) -> Response:
 
 
 async def find_past(service: Service, row: DiagnosisRow) -> WearState | None:
-    """Return what all recordings of an asset up to that of a diagnosis say; None where they say nothing together."""
+    """Return the state of wear of the asset of a diagnosis up to its recording; None where there is no such thing."""
     asset = row.request.get("asset")
     try:
-        return None if asset is None else await service.follow(asset, row)
-    except (UnknownAssetError, NothingToFollowError):  # it may have been deleted since
+        past = await service.follow(asset, row) if asset else None
+    except NOT_FOLLOWED as error:
+        log.info("report of %s: without the state of wear of its asset: %s", row.id, error)
         return None
+    return past if past and past.visits > 1 else None
 
 
 def find_report(
@@ -85,9 +94,10 @@ def find_report(
     asset = row.request.get("asset")
     assets = Assets(service.store.database)
     known = assets.known(asset) if asset else None
-    if known is None or past is None or past.visits < 2:
-        return report_of(row, measurement, asset, known.notes if known else "", gone), figures_of(row, response)
-    findings = [each for each in assets.findings(None, SHOWN, only={"asset": asset}) if each.at <= past.at]
+    notes = known.notes if known else ""
+    if past is None:
+        return report_of(row, measurement, asset, notes, gone), figures_of(row, response)
+    findings = [each for each in assets.findings(None, MOST_LESSONS, only={"asset": asset}) if each.at <= past.at]
     drawn = chart(past, findings)
     trend = trend_svg(drawn["data"]) if drawn else ""
-    return report_of(row, measurement, asset, known.notes, gone, past_words(past)), figures_of(row, response, trend)
+    return report_of(row, measurement, asset, notes, gone, past_words(past)), figures_of(row, response, trend)

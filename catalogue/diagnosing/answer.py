@@ -232,7 +232,8 @@ class Suggestion(Frozen):
     ----------
     kind : {"sensor", "direction", "speed", "load"}
         A sensor of the machine file, or one at another point; another direction where there is a sensor; a recording
-        at another drive speed besides this one; one under another constant load on the output.
+        at another drive speed besides this one; one under another constant load of the process, beside what the machine
+        file has.
     what : str
         In words: "s2-y", "y at (0.2, -0.1) m", "96 rpm", "-300 N".
     hypotheses : tuple of str

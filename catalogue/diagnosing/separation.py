@@ -24,8 +24,8 @@ from jointplay.catalogue.matching.discrepancy import Discrepancy
 from jointplay.catalogue.matching.matcher import HypothesisMatch, MatchResult
 from jointplay.catalogue.matching.observation import Sensing, observe
 from jointplay.catalogue.matching.together import Likeness
-from jointplay.catalogue.plans.cases import output_loads
-from jointplay.catalogue.plans.day_load import DayLoad
+from jointplay.catalogue.plans.cases import load_shares
+from jointplay.catalogue.plans.day_load import DayLoad, loads_held
 from jointplay.catalogue.signals.feature_bands import join_bands
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.signals.sensors import free_motions
@@ -91,8 +91,9 @@ def suggest(
     measured on the others, with the entries' own scatter, noise and discrepancies: the share on the wrong side of the
     middle, and d' with Phi(-d' / 2) = error. Another sensor is taken to be as noisy as the median of those there are;
     several recordings count as they do in a common answer that has not heard the machine's past
-    (:class:`~jointplay.catalogue.matching.together.Likeness`). Where a plan has loads, those that recordings seem to
-    be under are no suggestions.
+    (:class:`~jointplay.catalogue.matching.together.Likeness`), but that one under another load counts as one more at
+    its speed: where the first load holds joints shut, more is to be had than is foreseen. Where a plan has loads,
+    those that recordings seem to be under are no suggestions.
     What the answer is sure of already is known: what is gained follows from what separates the hypotheses *more* than
     now, beginning with their probabilities (:func:`foresee`).
     """
@@ -102,10 +103,10 @@ def suggest(
     question = _Separation(catalogue, prepared, tuple(contenders))
     if len(contenders) < 2 or not question.answerable(Day(prepared.drive_speed)):
         return ()
-    heard = [question.day_of(each) for each in (prepared, *others)]
-    now = question.of_recordings(heard)
     if 1.0 - question.probability.max() < LEAST_ERROR:
         return ()
+    heard = [question.day_of(each) for each in (prepared, *others)]
+    now = question.of_recordings(heard)
     found = []
     for kind, what, sensing in _more_sensors(prepared, catalogue.machine):
         found.append(question.suggestion(kind, what, now, question.of_recordings(heard, sensing)))
@@ -147,9 +148,13 @@ class _Separation:
         return loads if len(loads) > 1 else ()
 
     @cached_property
-    def load_of_rows(self) -> FloatArray:
-        """Load of every entry of the catalogue, N or N m."""
-        return output_loads(self.catalogue.machine, self.matrix.numbers)
+    def load_of_rows(self) -> IntArray:
+        """Which of these every entry of the catalogue is under (n,); -1 where under none of them."""
+        shares = load_shares(self.catalogue.machine)
+        drawn = np.zeros(len(self.matrix))
+        for path, numbers in self.matrix.numbers(shares).items():
+            drawn += shares[path] * numbers
+        return loads_held(self.loads, drawn)
 
     def entries(self, match: HypothesisMatch, day: Day) -> IntArray:
         """Rows of a hypothesis at a drive speed, and under a load where one is given."""
@@ -157,7 +162,7 @@ class _Separation:
             return np.asarray(self.matrix.rows(match.label, speed=day.speed), dtype=np.int64)
         # Wide draws have loads of their own besides.
         rows = np.asarray(self.matrix.rows(match.label, "trusted", speed=day.speed), dtype=np.int64)
-        return rows[day.load.holds(self.load_of_rows[rows])]
+        return np.asarray(rows[self.load_of_rows[rows] == self.loads.index(day.load)])
 
     def answerable(self, day: Day) -> bool:
         """Whether every hypothesis has entries enough for a day."""
@@ -170,7 +175,7 @@ class _Separation:
             return Day(prepared.drive_speed)
         sensing = exact_sensing(prepared)
         feature = features_of(prepared, sensing)
-        return min(days, key=lambda day: min(_distance(feature, drawn) for drawn, _ in self.draw(sensing, day)))
+        return min(days, key=lambda day: min(_distance(feature, drawn) for drawn in self.glance(sensing, day)))
 
     def other_speeds(self, heard: Sequence[Day]) -> Iterator[Day]:
         """Days at speeds of the catalogue's plan but those next to recordings, under the load of the first."""
@@ -224,6 +229,12 @@ class _Separation:
             copies = np.full(len(rows), COPIES, dtype=np.int64)
             found.append(observe(self.matrix.packed(rows), sensing, Discrepancy(), copies, number))
         return found
+
+    def glance(self, sensing: Sensing, day: Day) -> Iterator[FloatArray]:
+        """Features (m, d) of the nearest entries of every hypothesis for a day, each once."""
+        for number, match in enumerate(self.contenders):
+            rows = self.rows(match, day)[:LEAST_ENTRIES]
+            yield observe(self.matrix.packed(rows), sensing, Discrepancy(), np.ones(len(rows), np.int64), number)[0]
 
     def squared_distances(self, sensing: Sensing, day: Day) -> FloatArray:
         """Squared separation of every pair of hypotheses, seen through these sensors on a day."""

@@ -192,23 +192,16 @@ def _check_loads(plan: Plan, machine: Machine) -> None:
             raise PlanError("plan", f"loads.{i}.{kind}", str(load), rule)
 
 
-def output_loads(machine: Machine, numbers: Callable[[Iterable[str]], Mapping[str, FloatArray]]) -> FloatArray:
-    """Return the constant loads (n,) on the output of a machine that cases have, N or N m.
+def load_shares(machine: Machine) -> dict[str, float]:
+    """Return what share of a load on the output of a machine each number has by which it is drawn, by path.
 
-    Parameters
-    ----------
-    machine : Machine
-        As filed; it has an output.
-    numbers : callable
-        From paths to what was drawn of each for every case (n,), where anything was.
+    The sum over these of share times number is the load of a case, N or N m: the shares are those of a unit vector.
     """
     output = output_load(machine)
-    assert output is not None
+    if output is None:
+        return {}
     targets = MachineNumbers(Variant("own", (), output.link, ()).machine(machine)).targets(LOAD)
-    drawn = numbers([target.path for target in targets])
-    shares = {target.path: target.share for target in targets if target.path in drawn}
-    along = math.fsum(share**2 for share in shares.values())
-    return np.asarray(sum(share * drawn[path] for path, share in shares.items()) / along)
+    return {target.path: target.share for target in targets}
 
 
 @dataclass

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Self
 
 import numpy as np
 from pydantic import model_validator
 
-from jointplay.solver.arrays import BoolArray, FloatArray
+from jointplay.solver.arrays import FloatArray, IntArray
 from jointplay.solver.machines.fields import QuantityField, RuleError
 from jointplay.solver.machines.parts import Part
 from jointplay.solver.machines.units import FORCE, TORQUE
@@ -41,12 +42,16 @@ class DayLoad(Part):
         """Of the load, N or N m."""
         return self.force or self.torque or 0.0
 
-    def holds(self, loads: FloatArray) -> BoolArray:
-        """Which loads (n,), N or N m, are this one on some day; none but nothing at all is where it is nothing."""
-        low, high = DAY_LOAD
-        share = loads / self.size if self.size else np.where(loads == 0.0, 1.0, np.inf)
-        return np.asarray((share > low - 1e-9) & (share < high + 1e-9))
-
     def __str__(self) -> str:
         """In words: ``-300 N``."""
         return f"{self.size:g} {'N' if self.torque is None else 'N m'}"
+
+
+def loads_held(loads: Sequence[DayLoad], drawn: FloatArray) -> IntArray:
+    """Say which of some loads each of what was drawn (n,), N or N m, is of; -1 where it is of none."""
+    sizes = np.array([load.size for load in loads])
+    nearest = np.argmin(np.abs(drawn[:, None] - sizes), axis=1)
+    low, high = DAY_LOAD
+    ends = np.sort(np.outer((low, high), sizes[nearest]), axis=0)
+    slack = 1e-9 * np.abs(sizes).max()
+    return np.asarray(np.where((drawn >= ends[0] - slack) & (drawn <= ends[1] + slack), nearest, -1))

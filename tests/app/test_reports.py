@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 import httpx
 import pytest
 from answers import hypothesis, joint
+from http_answers import assert_problem
 from pypdf import PdfReader
 from recordings import RECORDINGS
 
@@ -166,7 +167,7 @@ def test_the_state_of_wear_stands_in_a_report_up_to_its_recording(
     client: httpx.Client, worn: bytes, in_order: bytes
 ) -> None:
     client.put(f"{API}/assets/trend-1", json={"machine": "slider-crank"})
-    keys = []
+    keys, measurements = [], []
     again = gzip.decompress((RECORDINGS / "slider-crank-05.csv.gz").read_bytes())
     for month, content in ((1, in_order), (5, worn), (7, again)):
         fields = {"catalogue": "slider-crank", "effort": "fast", "asset": "trend-1"}
@@ -174,22 +175,33 @@ def test_the_state_of_wear_stands_in_a_report_up_to_its_recording(
         answer = client.post(f"{API}/diagnoses", files={"file": (f"{month}.csv", content)}, data=fields)
         assert answer.status_code == 201, answer.text
         keys.append(answer.json()["id"])
-    repair = {"joints": {"B": {"repaired": True}}, "at": "2024-06-01T06:00:00Z"}
+        measurements.append(answer.json()["measurement"])
+    place = f"{API}/diagnoses/{keys[1]}/report?format=html"
+    before = client.get(place)
+    told = unescape(before.text)
+    # What comes later changes nothing of it: findings, a repair, another limit, an answer to all recordings together.
+    repair = {"joints": {"B": {"clearance_um": 900, "repaired": True}}, "at": "2024-06-01T06:00:00Z"}
     client.post(f"{API}/diagnoses/{keys[1]}/finding", json=repair).raise_for_status()
-    first, second, third = (client.get(f"{API}/diagnoses/{key}/report?format=html").text for key in keys)
+    limited = {"machine": "slider-crank", "limits_um": {"B": 40.0}}
+    client.put(f"{API}/assets/trend-1", json=limited).raise_for_status()
+    together = {"measurements": measurements[:2], "catalogue": "slider-crank", "effort": "fast", "asset": "trend-1"}
+    assert_problem(client.post(f"{API}/diagnoses", json=together | {"measurements": measurements}), 422)
+    common = client.post(f"{API}/diagnoses", json=together)
+    assert common.status_code == 201, common.text
+    first, third = (client.get(f"{API}/diagnoses/{key}/report?format=html").text for key in keys[::2])
+    assert client.get(place, headers={"If-None-Match": before.headers["etag"]}).status_code == 304
     assert "up to here" not in first
-    assert "By all 2 recordings up to here, joint B is worn, " in second
-    said = re.search(r"The last recording has moved the probability of wear of (.*)\.</p>", second)
-    assert said and "B from " in said[1], second[second.index("up to here") :][:600]
-    assert "Joint B was repaired by" not in second, "that came later"
-    drawn = second[second.index("Radial clearance over time") :]
+    said = re.search(r"The last recording has moved the probability of wear of (.*)\.</p>", before.text)
+    assert said and "B from " in said[1]
+    assert re.search(r"Joint B is worn, \d+ %, sure since 2024-05-01: \d+ µm \(", told)
+    drawn = before.text[before.text.index("Radial clearance over time") :]
     drawn = drawn[: drawn.index("</svg>")]
     # Joint B is drawn from when it was worn on.
     assert [text in drawn for text in ("● B", "limit", "2024-01-01", "2024-05-01")] == [True, True, False, True]
-    assert "Joint B was repaired by 2024-06-01, " in third, third[third.index("up to here") - 50 :][:900]
-    assert "By all 3 recordings up to here" in third
+    assert "Joint B was repaired on 2024-06-01." in third and "by all 3 answers up to it" in third
+    assert "↺ B" in third and "◆ B" in third
     now = client.get(f"{API}/assets/trend-1/state").json()
-    assert now["visits"] == 3 and len(now["repairs"]) == 1
+    assert now["visits"] == 2 and len(now["repairs"]) == 1
     assert "up to here" in text_of(client.get(f"{API}/diagnoses/{keys[2]}/report?format=pdf").content)
 
 
@@ -265,9 +277,10 @@ def test_much_text_stays_on_one_page(rows: tuple[DiagnosisRow, MeasurementRow]) 
     first, second = (entry.label for entry in row.answer.hypotheses[:2])
     told = [{"kind": "direction", "what": "y at (0.2, -0.1) m", "hypotheses": [first, second], **numbers}] * 9
     full = changed(row, warnings=["<script>alert(1)</script> & more " * 30] * 20, suggestions=told)
-    report, figures = report_of(full, measurement, "W" * 300), figures_of(full)
+    past = tuple(f"The state of wear, line {number}: joint B is worn; {'more ' * 30}" for number in range(10))
+    report, figures = report_of(full, measurement, "W" * 300, past=past), figures_of(full)
     said = text_of(pdf(report, figures))
-    assert "16 more in the answer itself" in said
+    assert "16 more in the answer itself" in said and "The state of wear, line 9" in said
     assert "Steps sensors" in said, "the last table is there"
     page = html(report, figures)
     assert "<script" not in page
@@ -293,3 +306,16 @@ def test_a_spectrum_rings_the_bands_that_decided() -> None:
 
 def test_a_single_band_can_be_drawn() -> None:
     ElementTree.fromstring(spectrum(Comparison("x", (band(1, -20.0, 0.0, 0.0),))))
+
+
+def test_a_report_stays_when_its_asset_is_gone(client: httpx.Client, worn: bytes, in_order: bytes) -> None:
+    client.put(f"{API}/assets/trend-2", json={"machine": "slider-crank"})
+    fields = {"catalogue": "slider-crank", "effort": "fast", "asset": "trend-2"}
+    for content in (in_order, worn):
+        answer = client.post(f"{API}/diagnoses", files={"file": ("one.csv", content)}, data=fields)
+        assert answer.status_code == 201, answer.text
+    place = f"{API}/diagnoses/{answer.json()['id']}/report?format=html"
+    assert "up to here" in client.get(place).text
+    assert client.delete(f"{API}/assets/trend-2").status_code == 204
+    gone = client.get(place)
+    assert gone.status_code == 200 and "up to here" not in gone.text

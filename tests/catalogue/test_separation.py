@@ -21,9 +21,9 @@ from jointplay.catalogue.matching.discrepancy import Discrepancy
 from jointplay.catalogue.matching.matcher import ClearanceEstimate, HypothesisMatch, MatchResult
 from jointplay.catalogue.matching.observation import Sensing, observe
 from jointplay.catalogue.measurements.measurement import Recording, read_measurement
-from jointplay.catalogue.plans.cases import output_loads
+from jointplay.catalogue.plans.day_load import DayLoad, loads_held
 from jointplay.catalogue.plans.entry import Hypothesis
-from jointplay.catalogue.plans.plan import parse_plan
+from jointplay.catalogue.plans.plan import Plan, parse_plan
 from jointplay.catalogue.signals.features import prepare
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.storage.store import Catalogue
@@ -156,25 +156,45 @@ def test_loads_that_the_catalogue_holds(tmp_path: Path) -> None:
     catalogue = Catalogue.open(tmp_path / "loads")
     held, free = plan.loads or ()
     matrix = catalogue.matrix
-    loads = output_loads(machine, matrix.numbers)
-    rows = matrix.rows("A")
-    assert len(rows) == 80 and sum(held.holds(loads[rows])) == sum(free.holds(loads[rows])) == 40
-    assert np.all(loads[rows][held.holds(loads[rows])] < -0.79 * 330.0)
-
     undecided = answer(("healthy", 0.5), ("A", 0.5))
     shut = recorded_under(catalogue, -330.0)
     question = _Separation(catalogue, shut, undecided.hypotheses)
+    assert np.bincount(question.load_of_rows[matrix.rows("A")]).tolist() == [40, 40]
+    assert question.load_of_rows.min() == 0
     assert question.day_of(shut).load == held
     assert question.day_of(recorded(catalogue, (0, 1, 2, 3))).load == free
     found = {each.what: each for each in suggest(catalogue, shut, undecided, count=30) if each.kind == "load"}
     assert list(found) == ["0 N"]
     assert found["0 N"].separation > 1.5 * found["0 N"].separation_now and found["0 N"].error < 0.2
     # Under a load that lets joints rattle nothing more is to be had of one that holds them shut.
-    assert not [
-        each for each in suggest(catalogue, recorded(catalogue, (0, 1, 2, 3)), undecided) if each.kind == "load"
-    ]
+    rattling = suggest(catalogue, recorded(catalogue, (0, 1, 2, 3)), undecided, count=30)
+    assert "load" not in {each.kind for each in rattling}
     both = suggest(catalogue, shut, undecided, others=[recorded(catalogue, (0, 1, 2, 3))], count=30)
     assert not [each for each in both if each.kind == "load"]
+
+
+def test_loads_of_a_day_are_within_a_fifth() -> None:
+    """What lies within the fifths of two is of the nearer one; only nothing at all is of none."""
+    loads = [DayLoad(force=0.0), DayLoad(force=-330.0), DayLoad(force=-300.0), DayLoad(torque=50.0)]
+    drawn = np.array([0.0, 1.0, -330.0, -396.0, -397.0, -310.0, -240.0, -239.0, 40.0, 60.0, 61.0])
+    assert loads_held(loads, drawn).tolist() == [0, -1, 1, 1, -1, 2, 2, -1, 3, 3, -1]
+
+
+def test_loads_that_no_entry_has_yet(small_catalogue: Catalogue) -> None:
+    """A build that adds loads says so before it has simulated any."""
+    prepared = recorded(small_catalogue, (0,))
+    loads = (DayLoad(force=-330.0), DayLoad(force=0.0))
+    extended = Extended(small_catalogue, small_catalogue.plan.model_copy(update={"loads": loads}))
+    question = _Separation(extended, prepared, answer(("A", 0.5), ("B", 0.5)).hypotheses)  # type: ignore[arg-type]
+    assert question.day_of(prepared) == Day(prepared.drive_speed)
+    assert not list(question.other_loads([question.day_of(prepared)]))
+
+
+class Extended:
+    """A catalogue with another plan."""
+
+    def __init__(self, catalogue: Catalogue, plan: Plan) -> None:
+        self.plan, self.matrix, self.machine, self.recipe = plan, catalogue.matrix, catalogue.machine, catalogue.recipe
 
 
 def recorded_under(catalogue: Catalogue, force: float) -> PreparedMeasurement:
