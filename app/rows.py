@@ -97,6 +97,36 @@ class HypothesisRow:
 
 
 @dataclass(frozen=True)
+class SuggestionRow:
+    """One thing that would tell the first hypotheses apart, for a table.
+
+    Parameters
+    ----------
+    add : str
+        What to measure besides.
+    hypotheses : str
+        What it tells apart.
+    now, then : str
+        Share of mistakes.
+    """
+
+    add: str
+    hypotheses: str
+    now: str
+    then: str
+
+
+def suggestion_rows(result: Answer) -> list[SuggestionRow]:
+    """Return what could be done, the best first."""
+    return [
+        SuggestionRow(
+            f"{each.kind} {each.what}", " / ".join(each.hypotheses), percent(each.error_now), percent(each.error)
+        )
+        for each in result.suggestions
+    ]
+
+
+@dataclass(frozen=True)
 class RecordingRow:
     """What one of several recordings has contributed, for a table.
 

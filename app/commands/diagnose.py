@@ -26,7 +26,7 @@ from jointplay.app.commands.parameters import (
 from jointplay.app.commands.progress import ProgressLine
 from jointplay.app.errors import BadFieldError, RefusedFilesError
 from jointplay.app.fields import FILE_FIELDS, PROFILE
-from jointplay.app.rows import hypothesis_rows, joint_rows, percent, recording_rows
+from jointplay.app.rows import hypothesis_rows, joint_rows, recording_rows, suggestion_rows
 from jointplay.app.storage.told import with_said
 from jointplay.app.tables import indent, table
 from jointplay.app.words import spell_moment
@@ -317,15 +317,7 @@ def recordings(result: Diagnosis) -> str:
 
 def suggestions(result: Diagnosis) -> str:
     """Return what could be done, the best first, as a table."""
-    rows = [
-        (
-            f"{each.kind} {each.what}",
-            " / ".join(each.hypotheses),
-            percent(each.error_now),
-            percent(each.error),
-        )
-        for each in result.suggestions
-    ]
+    rows = [(row.add, row.hypotheses, row.now, row.then) for row in suggestion_rows(result)]
     return table(("add", "for", "wrong now", "then"), rows, frozenset({2, 3}))
 
 

@@ -25,8 +25,8 @@ from jointplay.solver.machines.units import Dimension, to_si
 SAID = tuple(sorted(TOLD))
 NUMBERS = ("sample_rate", "full_scale", "pulses_per_revolution", "reference")
 """Fields of a file that are one number, some with a unit."""
-UPLOAD = ("catalogue", "file", "asset", *SAID)
-CONFIRM = ("measurement", "catalogue", "asset", "speed", "effort", "mode", "prior", "mapping")
+UPLOAD = ("catalogue", "file", "asset", "beside", *SAID)
+CONFIRM = ("measurement", "measurements", "beside", "catalogue", "asset", "speed", "effort", "mode", "prior", "mapping")
 NOT_USED = "-"
 TEXT_BYTES = 1_000_000
 """Largest form with a whole text in it."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Any
+from urllib.parse import urlencode
 
 from jointplay.app import words
 from jointplay.app.figures.pictures import machine_picture
@@ -17,6 +18,7 @@ from jointplay.app.rows import (
     joint_rows,
     order,
     recording_rows,
+    suggestion_rows,
 )
 from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
 from jointplay.catalogue.diagnosing.answer import Answer, BandEvidence
@@ -53,6 +55,8 @@ def view(row: DiagnosisRow, measurement: MeasurementRow, gone: Sequence[str] = (
         "deleted": list(gone),
         "recording": words.recorded(result, measurement.name),
         "recordings": recording_rows(result),
+        "suggestions": suggestion_rows(result),
+        "beside": "" if gone else urlencode({"beside": row.id} | same_place(row)),
         "asset": row.request.get("asset"),
         "mapped": ", ".join(
             f"{column}: {sensor or 'not used'}" for column, sensor in row.request.get("mapping", {}).items()
@@ -73,6 +77,11 @@ def view(row: DiagnosisRow, measurement: MeasurementRow, gone: Sequence[str] = (
         "decided": [decision(comparison, band) for comparison, band in decided],
         "charts": [chart(comparison, [band for other, band in decided if other is comparison]) for comparison in found],
     }
+
+
+def same_place(row: DiagnosisRow) -> dict[str, str]:
+    """Return the catalogue and the asset of a diagnosis, for a form that asks again."""
+    return {name: row.request[name] for name in ("catalogue", "asset") if row.request.get(name)}
 
 
 def speeds(result: Answer) -> str:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 from urllib.parse import urlencode
 
@@ -16,6 +17,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.responses import RedirectResponse, Response
 
+from jointplay.app import words
 from jointplay.app.errors import AppError, BadFieldError
 from jointplay.app.etags import respond
 from jointplay.app.fields import FILE_FIELDS, PROFILE
@@ -35,7 +37,7 @@ from jointplay.app.pages.page_forms import (
     with_point,
 )
 from jointplay.app.pages.understood import confirmation
-from jointplay.app.pages.views import view
+from jointplay.app.pages.views import same_place, view
 from jointplay.app.problems import Problem
 from jointplay.app.questions import columns_of
 from jointplay.app.service import Service, of_request
@@ -43,6 +45,7 @@ from jointplay.app.storage.assets import Assets
 from jointplay.app.storage.remembered import Remembered
 from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
 from jointplay.app.storage.told import read_told
+from jointplay.app.words import spell_moment
 from jointplay.catalogue.errors import CatalogueError
 from jointplay.solver.errors import SolverError
 from jointplay.solver.machines.drawing import machine_svg
@@ -50,6 +53,7 @@ from jointplay.solver.machines.drawing import machine_svg
 router = APIRouter()
 
 NEWEST = 5
+KEPT = ("catalogue", "asset", "beside")  # of what is asked with a file, for when it has been read
 KNOWN_ASSETS = 500  # that a field offers; others can be typed
 REFUSALS = (AppError, SolverError, CatalogueError, TaskFailedError, RequestValidationError, HTTPException)
 
@@ -82,7 +86,7 @@ async def upload(request: Request) -> Response:
             measurement = await service.add_measurement(form.file, form.file_name, told)
     except REFUSALS as error:
         return await refuse(request, problem_from(error), UPLOAD, "index.html", given)
-    asked = {"measurement": measurement.id} | {name: given[name] for name in ("catalogue", "asset") if name in given}
+    asked = {"measurement": measurement.id} | {name: given[name] for name in KEPT if name in given}
     place = f"/confirm?{urlencode(asked)}"
     if is_fragment(request):  # the script goes there by itself: it has shown how far the upload is
         return Response(status_code=201, headers={"Location": place})
@@ -127,9 +131,7 @@ async def diagnosis(request: Request, key: str) -> Response:
     except AppError as error:
         return await refuse(request, problem_from(error), UPLOAD, "index.html", {})
     shown = await run_in_threadpool(result_of, service, row)
-    asked = {"measurement": row.measurement, "catalogue": row.request["catalogue"]}
-    if row.request.get("asset"):
-        asked["asset"] = row.request["asset"]
+    asked = {"measurement": row.measurement} | same_place(row)
     members = await context(
         request,
         result=shown,
@@ -151,14 +153,24 @@ async def motion(request: Request, key: str) -> Response:
 
 
 async def diagnose(service: Service, given: Mapping[str, str]) -> DiagnosisRow:
-    """Do what a confirmed form asks for."""
+    """Do what a confirmed form asks for, together with the recordings of the diagnosis that it is to stand beside."""
     for name in ("measurement", "catalogue"):
         if name not in given:
             raise BadFieldError(f"choose a {name}", field=name)
     measurement = await run_in_threadpool(service.store.measurement, given["measurement"])
     offer = await run_in_threadpool(service.shelf.find, given["catalogue"])
     columns = [channel["name"] for channel in measurement.summary["channels"]]
-    return await service.diagnose(read_form(given, columns, offer.machine))
+    asked = read_form(given, columns, offer.machine)
+    if "beside" in given:
+        first = await run_in_threadpool(service.store.diagnosis, given["beside"])
+        asked = asked.model_copy(
+            update={
+                "measurement": None,
+                "measurements": [*first.measurements, measurement.id],
+                "mapping": first.request.get("mapping", {}) | asked.mapping,
+            }
+        )
+    return await service.diagnose(asked)
 
 
 async def understood(request: Request, given: Mapping[str, str]) -> dict[str, Any]:
@@ -231,6 +243,7 @@ async def context(request: Request, **more: Any) -> dict[str, Any]:
     offers = await run_in_threadpool(service.shelf.offers)
     known = await run_in_threadpool(Assets(service.store.database).page, None, KNOWN_ASSETS, None, None, [])
     settings = service.settings
+    beside = more.get("chosen", {}).get("beside")
     steps = {} if offers else await run_in_threadpool(first_steps, service)
     page: dict[str, Any] = {
         "title": "jointplay",
@@ -238,6 +251,7 @@ async def context(request: Request, **more: Any) -> dict[str, Any]:
         "known_assets": [(asset.external_id, asset.machine) for asset in known],
         "steps": steps,
         "chosen": {},
+        "beside": await run_in_threadpool(beside_of, service, beside) if beside else None,
         "messages": {},
         "told_open": False,
         "file_fields": FILE_FIELDS,
@@ -257,6 +271,16 @@ def first_steps(service: Service) -> dict[str, Any]:
     own = [name for name in service.machines.names() if not service.machines.ships(name)]
     builds = [build_view(row) for row in service.builds.list_builds(None, NEWEST)]
     return {"own": own, "builds": [each for each in builds if each["open"]]}
+
+
+def beside_of(service: Service, key: str) -> dict[str, Any] | None:
+    """Return which recordings a further one is diagnosed together with; None where there is no such diagnosis."""
+    with suppress(AppError):  # that it is not there is told when it is asked for
+        row = service.store.diagnosis(key)
+        first = service.store.measurement_of(row)
+        recording, measured = words.recorded(row.answer, first.name), spell_moment(first.measured_at)
+        return {"id": row.id, "recording": recording, "measured": measured}
+    return None
 
 
 def result_of(service: Service, row: DiagnosisRow) -> dict[str, Any]:

@@ -70,7 +70,7 @@
   // Several files: each is diagnosed by itself, as it is understood, and has a row with a link to its result.
   const outcome = async (given, file) => {
     const form = new FormData();
-    for (const [name, value] of given) if (name !== "file" && name !== "measured_at" && value) form.append(name, value);
+    for (const [name, value] of given) if (value && !"file measured_at beside".includes(name)) form.append(name, value);
     form.append("file", file);
     try {
       const answer = await fetch("/api/v1/diagnoses", { method: "POST", body: form });

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import hashlib
 import html
 import math
@@ -11,6 +12,7 @@ from pathlib import Path
 
 import httpx
 import pytest
+from recordings import RECORDINGS
 from small_service import spoiled
 
 from jointplay.app import main
@@ -72,6 +74,12 @@ def confirmed(text: str) -> dict[str, str]:
 def place(client: httpx.Client, worn: bytes) -> str:
     """Address of the page that says what was understood of the worn recording."""
     return send(client, worn).headers["location"]
+
+
+@pytest.fixture(scope="module")
+def again() -> bytes:
+    """Another recording of a slider-crank whose joint B is worn."""
+    return gzip.decompress((RECORDINGS / "slider-crank-05.csv.gz").read_bytes())
 
 
 def error_of(text: str, field: str) -> str:
@@ -308,6 +316,39 @@ def test_a_confirmation_of_nothing_is_a_page(client: httpx.Client) -> None:
     assert "No such measurement" in response.text
     assert client.post("/diagnose", data={"effort": "fast"}).status_code == 422
     assert client.post("/diagnose", content=b"{}").status_code == 415
+
+
+def test_a_further_recording_is_diagnosed_together_with_a_result(
+    client: httpx.Client, place: str, worn: bytes, again: bytes
+) -> None:
+    """What a suggestion asks for is sent from its page, and both have one answer."""
+    client.put("/api/v1/assets/press-2", json={"machine": "slider-crank"}).raise_for_status()
+    first = ask(client, place, asset="press-2").headers["location"].removeprefix("/diagnoses/")
+    form = client.get("/", params={"catalogue": "slider-crank", "asset": "press-2", "beside": first}).text
+    assert f'<input type="hidden" name="beside" value="{first}">' in form
+    assert "Diagnosed together with" in form and "worn.csv</a> of" in form
+    sent = send(client, again, asset="press-2", beside=first)
+    assert sent.status_code == 303
+    shown = client.get(sent.headers["location"]).text
+    assert confirmed(shown)["beside"] == first and "worn.csv</a> of" in shown
+    answer = ask(client, sent.headers["location"])
+    assert answer.status_code == 303, answer.text
+    made = client.get(f"/api/v1{answer.headers['location']}").json()
+    held = client.get(f"/api/v1/diagnoses/{first}").json()["measurement"]
+    assert made["measurement"] == held and made["asset"] == "press-2"
+    assert [share["sha256"] for share in made["recordings"]] == [
+        hashlib.sha256(each).hexdigest() for each in (worn, again)
+    ]
+    # A speed is that of one recording; the form stays as it was typed.
+    refused = ask(client, sent.headers["location"], speed="613")
+    assert refused.status_code == 422 and "is for one measurement alone" in error_of(refused.text, "speed")
+    assert confirmed(refused.text)["beside"] == first
+
+
+def test_what_a_recording_is_to_stand_beside_may_be_gone(client: httpx.Client, place: str) -> None:
+    refused = ask(client, place, beside="nonsense")
+    assert refused.status_code == 404 and "No such diagnosis" in refused.text
+    assert confirmed(refused.text)["beside"] == "nonsense"
 
 
 def test_an_unknown_result_is_a_page(client: httpx.Client) -> None:

@@ -236,6 +236,14 @@ def test_what_tells_the_first_two_apart_comes_first(rows: tuple[DiagnosisRow, Me
         {"kind": "sensor", "what": "s3-y", "hypotheses": [first, second], **numbers},
     ]
     report = report_of(changed(row, suggestions=told), measurement)
+    page = templates.env.get_template("_result.html").render(result=view(changed(row, suggestions=told), measurement))
+    listed = re.findall(r'<th scope="row">(.*?)</th><td>(.*?)</td><td class="figure">(.*?)</td>', page)
+    assert [each[:2] for each in listed][:2] == [
+        ("speed 96 rpm", f"{first} / {third}"),
+        ("sensor s3-y", f"{first} / {second}"),
+    ]
+    assert f'href="/?beside={row.id}&amp;catalogue=slider-crank"' in page
+    assert "Measured besides" not in templates.env.get_template("_result.html").render(result=view(row, measurement))
     assert len(report.suggestions) == 1
     assert report.suggestions[0].startswith(f"Sensor s3-y: of {first} and {second} the wrong one")
 
