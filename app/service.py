@@ -247,7 +247,9 @@ class Service:
     ) -> NewDiagnosis:
         """Return a diagnosis as it is stored, with what is told of it, and remembered of its first recording."""
         measurements = request.measurements or [request.measurement or ""]
-        mapping = request.mapping if "mapping" in request.model_fields_set else None
+        mapping = None
+        if "mapping" in request.model_fields_set:
+            mapping = {column: sensor for column, sensor in request.mapping.items() if column in columns}
 
         def also(session: Session, key: str) -> None:
             self.announce(session, key, measurements, asked.asset, result)

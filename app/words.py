@@ -197,6 +197,7 @@ def _after_wear(result: Answer) -> str:
     return f"lock the drive out and measure the play of {joints} across the pin"
 
 
+#: How each kind of suggestion is taken up.
 SUGGESTED = {"sensor": "with sensor", "direction": "in direction", "speed": "at", "load": "under a process load of"}
 
 

@@ -106,7 +106,7 @@ def gather(store: Store, asset: str, up_to: DiagnosisRow | None = None) -> Life:
     if up_to:
         latest, until = up_to, max((made[key][1] for key in up_to.measurements if key in made), default=NEVER)
         own = [found for found in own if found.at <= until]
-        diagnoses = [each for each in diagnoses if _is_before(each, up_to, made, until)]
+        diagnoses = [up_to, *(each for each in diagnoses if _is_before(each, up_to, made, until))]
     counted = _counted(diagnoses, made, repairs_of(own))
     if not counted:
         said = "its recordings were diagnosed together only, those of before a repair with those of after it"
@@ -151,9 +151,13 @@ def _counted(
 def _is_before(
     each: DiagnosisRow, up_to: DiagnosisRow, made: Mapping[str, tuple[str, datetime]], until: datetime
 ) -> bool:
-    """Return whether all that an answer is of was made up to a moment; common answers were to be there already."""
+    """Return whether an answer counts beside one: to nothing of the same, and to what was made up to a moment.
+
+    Common answers were to be there already.
+    """
+    is_apart = set(each.measurements).isdisjoint(up_to.measurements)
     is_early = all(made[key][1] <= until for key in each.measurements if key in made)
-    return is_early and (len(each.measurements) == 1 or each.created_at <= up_to.created_at)
+    return is_apart and is_early and (len(each.measurements) == 1 or each.created_at <= up_to.created_at)
 
 
 def _lessons(store: Store, machine: str, until: datetime) -> Iterator[tuple[DiagnosisRow, FindingRow]]:

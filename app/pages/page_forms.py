@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from fastapi import Request
@@ -15,6 +16,7 @@ from jointplay.app.http.validation import validate
 from jointplay.app.problems import Problem
 from jointplay.app.schemas.resources import DiagnosisRequest
 from jointplay.app.speeds import speed_of
+from jointplay.app.storage.rows import DiagnosisRow
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.matching.prior import Prior
 from jointplay.catalogue.signals.sensors import match_by_name
@@ -59,7 +61,9 @@ async def plain_form(request: Request, text: str = "") -> dict[str, str]:
     return {name: value for name, value in given.items() if value.strip()}
 
 
-def read_form(given: Mapping[str, str], columns: Sequence[str], machine: Machine) -> DiagnosisRequest:
+def read_form(
+    given: Mapping[str, str], columns: Sequence[str], machine: Machine, first: Beside | None = None
+) -> DiagnosisRequest:
     """Return what a confirmed form asks for.
 
     Parameters
@@ -70,11 +74,14 @@ def read_form(given: Mapping[str, str], columns: Sequence[str], machine: Machine
         Of the recording.
     machine : Machine
         Of the catalogue.
+    first : Beside, optional
+        What the recording is diagnosed together with.
 
     Raises
     ------
     BadFieldError
-        For a speed that is none, a sensor that two columns are said to be, or no sensor at all, weights that are none.
+        For a speed that is none, a sensor that two columns are said to be, or no sensor at all, weights that are none;
+        for another machine or asset than the first recordings', or a column that is another sensor there.
     RequestValidationError
         For a field that breaks a rule of the HTTP interface.
     """
@@ -88,7 +95,64 @@ def read_form(given: Mapping[str, str], columns: Sequence[str], machine: Machine
         speed_of(members["speed"])
     if given.get("prior"):
         members["prior"] = {"joints": weights_of(given["prior"], machine)}
-    return validate(DiagnosisRequest, {**members, "mapping": chosen_sensors(given, columns, machine)})
+    mapping = chosen_sensors(given, columns, machine)
+    if first is not None:
+        members = first.join(members, machine)
+        mapping = first.join_sensors(mapping, columns, machine)
+    return validate(DiagnosisRequest, {**members, "mapping": mapping})
+
+
+@dataclass(frozen=True)
+class Beside:
+    """Recordings that have an answer, with which a further one is diagnosed together.
+
+    Parameters
+    ----------
+    row : DiagnosisRow
+        Their answer.
+    columns : sequence of str
+        Of the first of them.
+    """
+
+    row: DiagnosisRow
+    columns: Sequence[str]
+
+    def join(self, members: Mapping[str, Any], machine: Machine) -> dict[str, Any]:
+        """Return what is asked about one more recording as a question about all.
+
+        Raises
+        ------
+        BadFieldError
+            When that is of another machine or asset.
+        """
+        own, asset = self.row.answer.machine, self.row.request.get("asset")
+        if machine.name != own:
+            said = f"catalogue: {members['catalogue']}: is of {machine.name}; what stands beside it is a {own}"
+            raise BadFieldError(said, field="catalogue")
+        if asset is not None and members.get("asset") != asset:
+            said = f"asset: {members.get('asset', 'none')}: what stands beside it is of asset {asset}"
+            raise BadFieldError(said, field="asset")
+        several = [*self.row.measurements, members["measurement"]]
+        return {name: value for name, value in members.items() if name != "measurement"} | {"measurements": several}
+
+    def join_sensors(self, mapping: Mapping[str, str], columns: Sequence[str], machine: Machine) -> dict[str, str]:
+        """Return which sensor each column of all recordings is.
+
+        Raises
+        ------
+        BadFieldError
+            When a column of both is one sensor here, and another one there.
+        """
+        before = self.row.request.get("mapping", {})
+        for column in set(columns) & set(self.columns):
+            here, there = (
+                {**match_by_name(names, machine), **said}.get(column) or NOT_USED
+                for names, said in ((columns, mapping), (self.columns, before))
+            )
+            if here != there:
+                said = f"column {column[:80]}: is {here} here and {there} in {self.row.measurement}"
+                raise BadFieldError(f"{said}: must be one sensor in all recordings of an answer", field="mapping")
+        return {**before, **mapping}
 
 
 def chosen_sensors(given: Mapping[str, str], columns: Sequence[str], machine: Machine) -> dict[str, str]:

@@ -73,16 +73,16 @@ def past_words(state: WearState) -> tuple[str, ...]:
     likeliest = max(state.joints, key=lambda name: state.joints[name].p_worn)
     worn = {name: found for name, found in state.joints.items() if found.p_worn >= WORN}
     said = [joint_words(name, found) for name, found in worn.items()] or [
-        f"No joint is likelier worn than not; joint {likeliest} is with {percent(state.joints[likeliest].p_worn)}."
+        f"No joint is likelier worn than not; the likeliest is {likeliest}, {percent(state.joints[likeliest].p_worn)}."
     ]
     besides = what_besides(state)
-    more = [f"{len(besides) - SHOWN} more on the page of the asset."] if len(besides) > SHOWN else []
+    more = [f"{len(besides) - SHOWN} more before, in the state of the asset."] if len(besides) > SHOWN else []
     by = f"The verdict above is by its recording; this is by all {state.visits} answers up to it."
-    return (by, *said, what_moved(state), *besides[:SHOWN], *more)
+    return (by, *said, what_moved(state), *more, *besides[-SHOWN:])
 
 
 def joint_words(name: str, found: JointFollowed) -> str:
-    """Return what is known of a worn joint in two sentences."""
+    """Return what is known of a worn joint in a sentence."""
     early, likely, late = found.limit_at
     limit = f"its limit of {length(found.limit_um)}"
     if found.p_over_limit >= WORN:

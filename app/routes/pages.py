@@ -17,8 +17,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.responses import RedirectResponse, Response
 
-from jointplay.app import words
-from jointplay.app.errors import AppError, BadFieldError
+from jointplay.app.errors import AppError, BadFieldError, DeletedError, UnknownDiagnosisError
 from jointplay.app.etags import respond
 from jointplay.app.fields import FILE_FIELDS, PROFILE
 from jointplay.app.http.handlers import is_fragment, note, problem_from, templates
@@ -31,6 +30,7 @@ from jointplay.app.pages.page_forms import (
     NUMBERS,
     SAID,
     UPLOAD,
+    Beside,
     messages_of,
     plain_form,
     read_form,
@@ -45,7 +45,7 @@ from jointplay.app.storage.assets import Assets
 from jointplay.app.storage.remembered import Remembered
 from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
 from jointplay.app.storage.told import read_told
-from jointplay.app.words import spell_moment
+from jointplay.app.words import recorded, spell_moment
 from jointplay.catalogue.errors import CatalogueError
 from jointplay.solver.errors import SolverError
 from jointplay.solver.machines.drawing import machine_svg
@@ -79,6 +79,7 @@ async def upload(request: Request) -> Response:
                 raise BadFieldError("choose a catalogue", field="catalogue")
             if form.file is None:
                 raise BadFieldError("choose a recording", field="file")
+            await run_in_threadpool(beside_of, service, given)
             offer = await run_in_threadpool(service.shelf.find, given["catalogue"])
             await run_in_threadpool(service.questions.asset_of, given.get("asset"), offer.machine.name)
             told = await run_in_threadpool(read_told, given)
@@ -159,18 +160,9 @@ async def diagnose(service: Service, given: Mapping[str, str]) -> DiagnosisRow:
             raise BadFieldError(f"choose a {name}", field=name)
     measurement = await run_in_threadpool(service.store.measurement, given["measurement"])
     offer = await run_in_threadpool(service.shelf.find, given["catalogue"])
-    columns = [channel["name"] for channel in measurement.summary["channels"]]
-    asked = read_form(given, columns, offer.machine)
-    if "beside" in given:
-        first = await run_in_threadpool(service.store.diagnosis, given["beside"])
-        asked = asked.model_copy(
-            update={
-                "measurement": None,
-                "measurements": [*first.measurements, measurement.id],
-                "mapping": first.request.get("mapping", {}) | asked.mapping,
-            }
-        )
-    return await service.diagnose(asked)
+    columns = columns_of(measurement.summary)
+    first = await run_in_threadpool(beside_of, service, given)
+    return await service.diagnose(read_form(given, columns, offer.machine, first))
 
 
 async def understood(request: Request, given: Mapping[str, str]) -> dict[str, Any]:
@@ -243,7 +235,6 @@ async def context(request: Request, **more: Any) -> dict[str, Any]:
     offers = await run_in_threadpool(service.shelf.offers)
     known = await run_in_threadpool(Assets(service.store.database).page, None, KNOWN_ASSETS, None, None, [])
     settings = service.settings
-    beside = more.get("chosen", {}).get("beside")
     steps = {} if offers else await run_in_threadpool(first_steps, service)
     page: dict[str, Any] = {
         "title": "jointplay",
@@ -251,7 +242,7 @@ async def context(request: Request, **more: Any) -> dict[str, Any]:
         "known_assets": [(asset.external_id, asset.machine) for asset in known],
         "steps": steps,
         "chosen": {},
-        "beside": await run_in_threadpool(beside_of, service, beside) if beside else None,
+        "beside": await run_in_threadpool(show_beside, service, more.get("chosen", {})),
         "messages": {},
         "told_open": False,
         "file_fields": FILE_FIELDS,
@@ -273,13 +264,37 @@ def first_steps(service: Service) -> dict[str, Any]:
     return {"own": own, "builds": [each for each in builds if each["open"]]}
 
 
-def beside_of(service: Service, key: str) -> dict[str, Any] | None:
-    """Return which recordings a further one is diagnosed together with; None where there is no such diagnosis."""
-    with suppress(AppError):  # that it is not there is told when it is asked for
-        row = service.store.diagnosis(key)
-        first = service.store.measurement_of(row)
-        recording, measured = words.recorded(row.answer, first.name), spell_moment(first.measured_at)
-        return {"id": row.id, "recording": recording, "measured": measured}
+def beside_of(service: Service, given: Mapping[str, str]) -> Beside | None:
+    """Return what a further recording is diagnosed together with, where a form says that.
+
+    Raises
+    ------
+    BadFieldError
+        When it is not there any more.
+    """
+    if "beside" not in given:
+        return None
+    try:
+        row = service.store.diagnosis(given["beside"])
+    except (UnknownDiagnosisError, DeletedError) as error:
+        raise BadFieldError(f"beside: {error}", field="beside") from None
+    return Beside(row, columns_of(service.store.measurement_of(row).summary))
+
+
+def show_beside(service: Service, given: Mapping[str, str]) -> dict[str, Any] | None:
+    """Return what pages show of that, and how it was asked; None of what is not there any more."""
+    with suppress(BadFieldError):
+        if found := beside_of(service, given):
+            row, first = found.row, service.store.measurement_of(found.row)
+            weights = row.request.get("prior", {}).get("joints", {})
+            return {
+                "id": row.id,
+                "recording": recorded(row.answer, first.name),
+                "measured": spell_moment(first.measured_at) if len(row.measurements) == 1 else "",
+                "effort": row.request["effort"],
+                "mode": row.request["mode"],
+                "prior": ", ".join(f"{joint}={weight:g}" for joint, weight in weights.items()),
+            }
     return None
 
 

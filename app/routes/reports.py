@@ -81,6 +81,8 @@ async def find_past(service: Service, row: DiagnosisRow) -> WearState | None:
     try:
         past = await service.follow(asset, row) if asset else None
     except NOT_FOLLOWED as error:
+        if isinstance(error, TaskFailedError) and error.problem.status >= 500:
+            raise
         log.info("report of %s: without the state of wear of its asset: %s", row.id, error)
         return None
     return past if past and past.visits > 1 else None

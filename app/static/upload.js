@@ -67,10 +67,10 @@
     request.send(new FormData(form));
   };
 
-  // Several files: each is diagnosed by itself, as it is understood, and has a row with a link to its result.
+  // Several files: each is diagnosed by itself, as understood, and has a row with a link to its result.
   const outcome = async (given, file) => {
     const form = new FormData();
-    for (const [name, value] of given) if (value && !"file measured_at beside".includes(name)) form.append(name, value);
+    for (const [name, value] of given) if (value && !["file", "measured_at", "beside"].includes(name)) form.append(name, value);
     form.append("file", file);
     try {
       const answer = await fetch("/api/v1/diagnoses", { method: "POST", body: form });

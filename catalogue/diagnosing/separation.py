@@ -91,8 +91,8 @@ def suggest(
     measured on the others, with the entries' own scatter, noise and discrepancies: the share on the wrong side of the
     middle, and d' with Phi(-d' / 2) = error. Another sensor is taken to be as noisy as the median of those there are;
     several recordings count as they do in a common answer that has not heard the machine's past
-    (:class:`~jointplay.catalogue.matching.together.Likeness`), but that one under another load counts as one more at
-    its speed: where the first load holds joints shut, more is to be had than is foreseen. Where a plan has loads,
+    (:class:`~jointplay.catalogue.matching.together.Likeness`), one under another load as one more at its speed; where
+    the first load holds joints shut, this foresees too little. Where a plan has loads,
     those that recordings seem to be under are no suggestions.
     What the answer is sure of already is known: what is gained follows from what separates the hypotheses *more* than
     now, beginning with their probabilities (:func:`foresee`).

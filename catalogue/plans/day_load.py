@@ -49,9 +49,10 @@ class DayLoad(Part):
 
 def loads_held(loads: Sequence[DayLoad], drawn: FloatArray) -> IntArray:
     """Say which of some loads each of what was drawn (n,), N or N m, is of; -1 where it is of none."""
-    sizes = np.array([load.size for load in loads])
-    nearest = np.argmin(np.abs(drawn[:, None] - sizes), axis=1)
+    ratio = np.empty((len(drawn), len(loads)))
+    for column, load in enumerate(loads):
+        ratio[:, column] = drawn / load.size if load.size else np.where(drawn == 0.0, 1.0, np.inf)
+    nearest = np.argmin(np.abs(ratio - 1.0), axis=1)
     low, high = DAY_LOAD
-    ends = np.sort(np.outer((low, high), sizes[nearest]), axis=0)
-    slack = 1e-9 * np.abs(sizes).max()
-    return np.asarray(np.where((drawn >= ends[0] - slack) & (drawn <= ends[1] + slack), nearest, -1))
+    share = ratio[np.arange(len(drawn)), nearest]
+    return np.asarray(np.where((share > low - 1e-9) & (share < high + 1e-9), nearest, -1))

@@ -339,16 +339,29 @@ def test_a_further_recording_is_diagnosed_together_with_a_result(
     assert [share["sha256"] for share in made["recordings"]] == [
         hashlib.sha256(each).hexdigest() for each in (worn, again)
     ]
-    # A speed is that of one recording; the form stays as it was typed.
-    refused = ask(client, sent.headers["location"], speed="613")
-    assert refused.status_code == 422 and "is for one measurement alone" in error_of(refused.text, "speed")
-    assert confirmed(refused.text)["beside"] == first
+    assert client.get(f"/confirm?measurement={held}&catalogue=slider-crank").text.count('name="speed"') == 1
+    assert 'name="speed"' not in shown, "a speed is that of one recording"
 
 
-def test_what_a_recording_is_to_stand_beside_may_be_gone(client: httpx.Client, place: str) -> None:
-    refused = ask(client, place, beside="nonsense")
-    assert refused.status_code == 404 and "No such diagnosis" in refused.text
-    assert confirmed(refused.text)["beside"] == "nonsense"
+def test_what_does_not_fit_to_a_result_is_told_beside_its_field(client: httpx.Client, place: str, again: bytes) -> None:
+    for name in ("press-3", "press-4"):
+        client.put(f"/api/v1/assets/{name}", json={"machine": "slider-crank"}).raise_for_status()
+    first = ask(client, place, asset="press-3").headers["location"].removeprefix("/diagnoses/")
+    where = send(client, again, asset="press-3", beside=first).headers["location"]
+    for wrong, field, said in (
+        ({"asset": "press-4"}, "asset", "what stands beside it is of asset press-3"),
+        ({"asset": ""}, "asset", "asset: none: what stands beside it is of asset press-3"),
+        ({"sensor-0": "s1-y", "sensor-1": "s1-x"}, "mapping", "must be one sensor in all recordings of an answer"),
+        ({"sensor-3": "-"}, "mapping", "column s2-y: is - here and s2-y in "),
+        ({"beside": "nonsense"}, "beside", "nonsense"),
+    ):
+        refused = ask(client, where, **wrong)
+        assert refused.status_code == 422 and said in error_of(refused.text, field), wrong
+        assert confirmed(refused.text)["beside"] == wrong.get("beside", first)
+    assert send(client, again, beside="nonsense").status_code == 422
+    client.delete(f"/api/v1/diagnoses/{first}").raise_for_status()
+    gone = ask(client, where)
+    assert gone.status_code == 422 and "deleted" in error_of(gone.text, "beside")
 
 
 def test_an_unknown_result_is_a_page(client: httpx.Client) -> None:

@@ -178,6 +178,8 @@ def test_loads_of_a_day_are_within_a_fifth() -> None:
     loads = [DayLoad(force=0.0), DayLoad(force=-330.0), DayLoad(force=-300.0), DayLoad(torque=50.0)]
     drawn = np.array([0.0, 1.0, -330.0, -396.0, -397.0, -310.0, -240.0, -239.0, 40.0, 60.0, 61.0])
     assert loads_held(loads, drawn).tolist() == [0, -1, 1, 1, -1, 2, 2, -1, 3, 3, -1]
+    near = [DayLoad(torque=100.0), DayLoad(torque=150.0)]
+    assert loads_held(near, np.array([119.0, 121.0, 126.0])).tolist() == [0, 1, 1]
 
 
 def test_loads_that_no_entry_has_yet(small_catalogue: Catalogue) -> None:
