@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 from pydantic import AfterValidator, AwareDatetime, BeforeValidator
 
 from jointplay.app.rows import between, has_decided, length, percent, plays
+from jointplay.catalogue.matching.modes import UNKNOWN_BELOW
 
 if TYPE_CHECKING:
     from jointplay.catalogue.diagnosing.answer import Answer, Cause, JointState
@@ -44,7 +45,7 @@ def sentence(result: Answer) -> str:
         none = "No worn joint" if sound(result) >= result.coverage else "Probably no worn joint"
         return f"{none}: the recording fits a machine in order, probability {probability(result)}{_untold(result)}."
     if verdict == "changed":
-        return f"Changed, but not by play{_first_cause(result)}."
+        return f"Changed, {_by_what(result)}."
     if verdict == "unknown" or not (named := named_joints(result)):
         return _no_verdict(result)
     several = len(named) > 1
@@ -111,18 +112,33 @@ def _untold(result: Answer) -> str:
     return f"; joint{'s' if len(names) > 1 else ''} {enumerate_words(names)} cannot be told"
 
 
-def _first_cause(result: Answer) -> str:
+def _by_what(result: Answer) -> str:
     """How the sentence of a change goes on."""
-    causes = result.causes
-    if not causes:
-        return "; none of the known causes explains it"
-    return f": {cause(causes[0])}, {probability(result)}"
+    if result.causes:
+        return f"but not by play: {cause(result.causes[0])}, {probability(result)}"
+    perhaps = f"perhaps by play, {percent(1.0 - sound(result))}" if may_be_worn(result) else "but not by play"
+    return f"{perhaps}; none of the known causes explains it"
+
+
+def may_be_worn(result: Answer) -> bool:
+    """Return whether wear that is not sure enough for a verdict may be what has changed."""
+    return result.verdict == "changed" and not result.causes and sound(result) < 0.5
+
+
+def is_explained(result: Answer) -> bool:
+    """Return whether some hypothesis explains the recording."""
+    return result.goodness_of_fit.p_value >= UNKNOWN_BELOW and bool(result.candidate_set)
 
 
 def _no_verdict(result: Answer) -> str:
     """Why there is no verdict."""
     if flaws := sensor_sentences(result):
         return f"No verdict: {flaws[0]}"
+    if is_explained(result):
+        worn = percent(1.0 - sound(result))
+        return (
+            f"No verdict: the machine is not as its file says, and neither wear ({worn}) nor none is sure enough then."
+        )
     p_value = result.goodness_of_fit.p_value
     return f"No verdict: the recording fits none of the hypotheses of this catalogue, p = {p_value:.2g}."
 
@@ -300,7 +316,8 @@ def sound(result: Answer) -> float:
 def set_sentence(result: Answer) -> str:
     """Return what the set of candidates says."""
     if result.verdict == "unknown":
-        return "The probabilities compare these hypotheses with each other; none of them explains the recording."
+        why = "none of them is sure enough" if is_explained(result) else "none of them explains the recording"
+        return f"The probabilities compare these hypotheses with each other; {why}."
     if result.verdict == "changed":
         return "The probabilities compare these hypotheses with each other; what has changed is none of them."
     coverage = percent(result.coverage)

@@ -270,6 +270,12 @@ def inspection(result: Answer) -> tuple[str, ...]:
                 "Look for what has changed since the machine file was written: mounts, foundation, masses, load, drive."
             )
         )
+        if words.may_be_worn(result):
+            return (
+                looked,
+                "It may be wear: measure again, longer or with more sensors, before a joint is opened.",
+                back,
+            )
         return (looked, "No joint is to be opened for this. Measure again when it is put right, or the file is.", back)
     worn = words.named_joints(result)
     if not worn:

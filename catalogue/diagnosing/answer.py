@@ -359,8 +359,8 @@ class Answer(Frozen):
     prior: PriorUsed
     """What was held likely before the measurement."""
     verdict: Verdict
-    """`worn`: some joint is; `in_order`: none is; `changed`: the machine is not as its file says, and not by play;
-    `unknown`: nothing explains the measurement."""
+    """`worn`: some joint is; `in_order`: none is; `changed`: the machine is not as its file says, and not surely by
+    play; `unknown`: nothing explains the measurement, or nothing surely enough."""
     joints: Mapping[str, JointState]
     """Every joint of the catalogue by itself."""
     hypotheses: tuple[RankedHypothesis, ...]

@@ -82,6 +82,11 @@ class NamedCause:
     since: bool = False
 
     @property
+    def extent(self) -> float:
+        """How far it is from nothing, either way: the size, or the logarithm of a factor."""
+        return math.log(self.size) if self.unit.startswith("x ") else self.size
+
+    @property
     def is_warmth(self) -> bool:
         """Whether it is no more than mounts that are all a little warmer or colder than they were."""
         return self.since and self.name == ALL_MOUNTS and WARMTH[0] <= self.size <= WARMTH[1]
@@ -115,10 +120,31 @@ def name_causes(
     DiagnosisError
         The ideal machine does not come round at this speed.
     """
+    scored = _score_all(prepared, catalogue, worn)
+    best = max(scored, key=lambda each: each.evidence, default=None)
+    return () if best is not None and best.is_small and not small else _rank(scored)
+
+
+def explain_as_well(prepared: PreparedMeasurement, catalogue: Catalogue) -> tuple[NamedCause, ...]:
+    """Return every change that explains a recording of a machine in order well enough to be named.
+
+    One of them explains it best, but any may be what the machine has. Raises as :func:`name_causes`.
+    """
+    return tuple(
+        NamedCause(each.family.name, each.family.size(each.numbers), each.family.unit, 1.0)
+        for each in _score_all(prepared, catalogue)
+        if each.family and each.named and each.is_meant
+    )
+
+
+def _score_all(
+    prepared: PreparedMeasurement, catalogue: Catalogue, worn: Sequence[tuple[str, IntArray]] = ()
+) -> list[_Scored]:
+    """Score every family, and no change at all, beside machines in order and worn ones."""
     machine = catalogue.machine
     model = _ideal(catalogue, prepared.drive_speed)
     if model is None:
-        return ()
+        return []
     levels = OrderLevels.of(prepared)
     families = tuple(families_of(model))
     drawn = catalogue.plan.spread(machine, "trusted")
@@ -131,8 +157,7 @@ def name_causes(
         if known is not None:
             beside = min((-2.0 * TEMPERATURE * each.evidence for each in scored if not each.family), default=math.inf)
             scored = [*_score(known, model, families, least, beside=beside), *scored]
-    best = max(scored, key=lambda each: each.evidence, default=None)
-    return () if best is not None and best.is_small and not small else _rank(scored)
+    return scored
 
 
 def name_changes(expected: LevelStatistics, catalogue: Catalogue) -> tuple[NamedCause, ...]:

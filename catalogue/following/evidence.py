@@ -10,7 +10,7 @@ import numpy as np
 
 from jointplay.catalogue.diagnosing.answer import Answer, JointClearance
 from jointplay.catalogue.following.play import AXIS, STEP, JointBounds
-from jointplay.catalogue.matching.matcher import UNKNOWN_BELOW
+from jointplay.catalogue.matching.modes import UNKNOWN_BELOW
 from jointplay.catalogue.matching.prior import Prior
 from jointplay.catalogue.matching.together import LEAST_DENSITY
 from jointplay.solver.arrays import FloatArray

@@ -202,7 +202,9 @@ def _judge_silence(known: Known, at: datetime, after: timedelta) -> Reason | Non
 
 def _judge_verdict(known: Known) -> Reason | None:
     if known.verdict == "changed":
-        return Reason(about=VERDICT, state="watch", text="By its last recording it has changed, and not by play.")
+        return Reason(
+            about=VERDICT, state="watch", text="By its last recording it has changed, and not surely by play."
+        )
     if known.repaired:
         return None
     if known.verdict == "worn" and not any(joint.p_worn >= LIKELY for joint in known.joints.values()):

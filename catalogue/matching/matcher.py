@@ -24,10 +24,6 @@ HEALTHY = "healthy"
 NORMAL_90 = 1.645
 """Half the width of a central 90 % interval, in standard deviations of a normal law."""
 
-
-UNKNOWN_BELOW = 0.02
-"""P-value below which a hypothesis does not explain a recording."""
-
 DOUBTED_BELOW = 0.05
 """P-value of the trusted mode below which the robust one has a say."""
 

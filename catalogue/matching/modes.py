@@ -12,3 +12,6 @@ ModeAsked = Literal["auto", "trusted", "robust"]
 
 Effort = Literal["fast", "standard", "thorough"]
 """How much an answer may cost."""
+
+UNKNOWN_BELOW = 0.02
+"""P-value below which a hypothesis does not explain a recording."""

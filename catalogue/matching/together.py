@@ -17,7 +17,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jointplay.catalogue.matching.curves import log_sum_exp
-from jointplay.catalogue.matching.matcher import UNKNOWN_BELOW, ClearanceEstimate, HypothesisMatch, MatchResult
+from jointplay.catalogue.matching.matcher import ClearanceEstimate, HypothesisMatch, MatchResult
+from jointplay.catalogue.matching.modes import UNKNOWN_BELOW
 from jointplay.solver.arrays import BoolArray, FloatArray, IntArray
 
 ALIKE_AT_ONE_SPEED, ALIKE = 0.7, 0.4

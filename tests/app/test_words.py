@@ -9,6 +9,7 @@ from answers import changed, diagnosis, hypothesis, joint
 
 from jointplay.app import rows, words
 from jointplay.app.figures.plots import draw_diagnosis
+from jointplay.app.reports.content import inspection
 from jointplay.catalogue.diagnosing.answer import Cause, Diagnosis, JointState
 
 
@@ -202,6 +203,12 @@ def test_a_machine_that_has_changed() -> None:
     nameless = changed(found, causes=[])
     assert words.sentence(nameless) == "Changed, but not by play; none of the known causes explains it."
     assert (words.short(nameless), words.probability(nameless)) == ("changed", "–")
+    # What is likelier than not is not denied.
+    likely = changed(nameless, hypotheses=[hypothesis("A", 0.88, A=200), hypothesis("healthy", 0.12)])
+    assert words.sentence(likely) == "Changed, perhaps by play, 88 %; none of the known causes explains it."
+    assert words.sentence(changed(likely, causes=[mount])) == words.sentence(found)
+    assert inspection(likely)[1].startswith("It may be wear: measure again")
+    assert inspection(nameless)[1].startswith("No joint is to be opened")
 
 
 @pytest.mark.parametrize(
@@ -261,6 +268,13 @@ def test_nothing_known() -> None:
         "No verdict: the recording fits none of the hypotheses of this catalogue, p = 0.004."
     )
     assert (words.short(found), words.probability(found)) == ("no verdict", "–")
+    fit = {"p_value": 0.17}
+    hypotheses = [hypothesis("F", 0.84, F=20), hypothesis("healthy", 0.16)]
+    unsure = changed(found, goodness_of_fit=fit, candidate_set=["F", "healthy"], hypotheses=hypotheses)
+    assert words.sentence(unsure) == (
+        "No verdict: the machine is not as its file says, and neither wear (84 %) nor none is sure enough then."
+    )
+    assert words.set_sentence(unsure).endswith("none of them is sure enough.")
     flawed = changed(found, sensors=[SWAPPED], joints=WORN)
     assert rows.joint_rows(flawed) == []
     assert words.sentence(flawed) == "No verdict: s1-x and s2-y seem to be swapped."

@@ -12,7 +12,7 @@ from in_order import FITS, off_by, recordings
 from jointplay.catalogue.diagnosing import hearing, hearing_anew, verdict
 from jointplay.catalogue.diagnosing.as_found import Refined
 from jointplay.catalogue.diagnosing.baseline_levels import OrderLevels
-from jointplay.catalogue.diagnosing.causes import NamedCause, name_causes, name_changes
+from jointplay.catalogue.diagnosing.causes import NamedCause, explain_as_well, name_causes, name_changes
 from jointplay.catalogue.diagnosing.comparison import beside_past, exact_sensing, features_of, watched_levels
 from jointplay.catalogue.diagnosing.known_machine import KnownMachine
 from jointplay.catalogue.diagnosing.past import PastComparison, compare_with_past, expect_worn
@@ -278,6 +278,28 @@ def test_what_the_baseline_has_as_well_is_no_cause(
     assert found and found[0].name == "mount 1"
     assert find_causes(now, small_catalogue, result, None, [visits["first"]])[0].name == "mount 1"
     assert "mount 1" not in {cause.name for cause in find_causes(now, small_catalogue, result, None, [now])}
+    # One that was a little soft, and is much softer now, has changed.
+    assert find_causes(now, small_catalogue, result, None, [visits["softer"]])[0].name == "mount 1"
+
+
+def test_what_explains_the_baseline_as_well_is_its_own_unless_it_is_much_more_or_the_other_way(
+    small_catalogue: Catalogue, visits: dict[str, PreparedMeasurement], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of several causes that explain one machine in order, another one may be the best that day."""
+    before, result = visits["softest"], by_itself(small_catalogue, visits["first"], p_worn=0.9)
+    could = explain_as_well(before, small_catalogue)
+    (named, *_) = name_causes(before, small_catalogue, small=True)
+    assert named.name in {each.name for each in could} and len({each.name for each in could}) > 1
+    assert explain_as_well(visits["first"], small_catalogue) == ()
+    for one in could:
+        for times, kept in ((1.9, ()), (2.1, (one.name,)), (-1.0, (one.name,))):
+            size = one.size**times if one.unit.startswith("x ") else one.size * times
+            cause = dataclasses.replace(one, size=size)
+            assert cause.extent == pytest.approx(times * one.extent)
+            monkeypatch.setattr(verdict, "name_causes", lambda *_, cause=cause, **__: (cause,))
+            alone = [each for each in could if each.name == one.name] == [one]
+            found = find_causes(visits["first"], small_catalogue, result, None, [visits["second"], before])
+            assert not alone or tuple(each.name for each in found) == kept
 
 
 def test_a_past_by_other_sensors_or_with_flaws_is_not_heard(visits: dict[str, PreparedMeasurement]) -> None:

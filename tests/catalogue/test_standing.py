@@ -81,7 +81,7 @@ LOOSE = "Since its baseline, besides play: mount 1, 0.62 x stiffness (-0.21 a ye
         (known().model_copy(update={"causes": {"mount 1": cause(0.97)}}), "watch", ["0.62 x stiffness, 97 %."]),
         (known().model_copy(update={"causes": {"mount 1": cause(0.49)}}), "in_order", []),
         (known().model_copy(update={"causes": {"load": cause(0.97, 0.0, since_baseline=False)}}), "in_order", []),
-        (known("changed"), "watch", ["it has changed, and not by play"]),
+        (known("changed"), "watch", ["it has changed, and not surely by play"]),
         (known("unknown"), "unknown", ["Its last recording has no verdict."]),
         (known(heard=-31.0), "unknown", ["No recording since 2026-05-01, for more than 30 days."]),
         (known(failure="too long"), "unknown", ["could not be followed: too long"]),
@@ -90,7 +90,7 @@ LOOSE = "Since its baseline, besides play: mount 1, 0.62 x stiffness (-0.21 a ye
         (
             known("changed", -31.0, A=joint(1.0, 0.3, 190.0), B=joint(1.0, 0.9, 250.0)),
             "alarm",
-            ["Joint B", "Joint A", "not by play", "No recording since"],
+            ["Joint B", "Joint A", "not surely by play", "No recording since"],
         ),
     ],
 )

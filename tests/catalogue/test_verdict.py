@@ -18,7 +18,8 @@ from jointplay.catalogue.diagnosing.verdict import (
     needs_cause,
 )
 from jointplay.catalogue.matching.conformal import Conformal
-from jointplay.catalogue.matching.matcher import DOUBTED_BELOW, UNKNOWN_BELOW, HypothesisMatch, MatchResult, rank
+from jointplay.catalogue.matching.matcher import DOUBTED_BELOW, HypothesisMatch, MatchResult, rank
+from jointplay.catalogue.matching.modes import UNKNOWN_BELOW
 from jointplay.catalogue.signals.sensor_flaws import SensorContradiction
 
 NOTHING = np.zeros(1)
