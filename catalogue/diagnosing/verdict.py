@@ -131,7 +131,8 @@ def find_causes(
 
 def _is_like(cause: NamedCause, earlier: NamedCause) -> bool:
     """Return whether a cause may be what the machine had earlier: the same, that way, and not much more of it."""
-    return cause.name == earlier.name and 0.0 < cause.extent / earlier.extent <= ALWAYS
+    one, other = cause.extent, earlier.extent
+    return cause.name == earlier.name and one * other > 0.0 and abs(one) <= ALWAYS * abs(other)
 
 
 def _nearest(catalogue: Catalogue, match: HypothesisMatch, speed: float) -> IntArray:
