@@ -83,7 +83,7 @@ class NamedCause:
 
     @property
     def extent(self) -> float:
-        """How far it is from nothing, either way: the size, or the logarithm of a factor."""
+        """How far it is from nothing, and which way: the size, or the logarithm of a factor."""
         return math.log(self.size) if self.unit.startswith("x ") else self.size
 
     @property

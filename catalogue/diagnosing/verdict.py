@@ -36,12 +36,6 @@ OTHERWISE_BELOW = 0.005
 AS_BEFORE = 0.1
 """The same from which on it is as it was: then no cause is looked for beside other machines."""
 
-ALWAYS = 2.0
-"""Extent of a cause, as a multiple of what explains a recording of the machine in order, up to which it is not told.
-
-Chosen: of a cyclic load that a quick-return always had 26 to 36 N explain three recordings of it in order, 36 to 47 N
-those of later visits, some with the opposite sign on the other stroke."""
-
 NAMED_ABOVE = 0.8
 """Probability from which on a cause is what has changed."""
 
@@ -104,8 +98,8 @@ def find_causes(
     """Return the causes other than play that may be, beside wear as the recording seems to have it or without any.
 
     What has changed since recordings of the machine in order is told by these, if it explains the difference; what
-    explains one of these `earlier` ones as well, up to :data:`ALWAYS` times that, is none: the machine has always had
-    it. At a speed that the catalogue has not seen every level is off, and what explains that best is no cause.
+    explains one of these `earlier` ones as well, the same way, is none: the machine has always had it. At a speed that
+    the catalogue has not seen every level is off, and what explains that best is no cause.
     """
     if speed_warnings(prepared, catalogue):
         return ()
@@ -122,17 +116,11 @@ def find_causes(
     found = name_causes(prepared, catalogue, worn, small=needs_cause(result))
     if found:
         steady = [each for each in earlier if not each.flaws and not speed_warnings(each, catalogue)]
-        had = [cause for each in steady for cause in explain_as_well(each, catalogue)]
-        return tuple(cause for cause in found if not any(_is_like(cause, each) for each in had))
+        had = {(cause.name, cause.extent > 0.0) for each in steady for cause in explain_as_well(each, catalogue)}
+        return tuple(cause for cause in found if (cause.name, cause.extent > 0.0) not in had)
     # Beside wear it has not been measured.
     mode = None if worn else find_mode(prepared, catalogue)
     return (mode,) if mode else ()
-
-
-def _is_like(cause: NamedCause, earlier: NamedCause) -> bool:
-    """Return whether a cause may be what the machine had earlier: the same, that way, and not much more of it."""
-    one, other = cause.extent, earlier.extent
-    return cause.name == earlier.name and one * other > 0.0 and abs(one) <= ALWAYS * abs(other)
 
 
 def _nearest(catalogue: Catalogue, match: HypothesisMatch, speed: float) -> IntArray:
