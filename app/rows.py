@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from jointplay.catalogue.diagnosing.answer import Answer, BandEvidence, JointClearance, JointState, RecordingShare
 
@@ -96,19 +97,8 @@ class HypothesisRow:
         return "; ".join(play.say() for play in self.plays)
 
 
-@dataclass(frozen=True)
-class SuggestionRow:
-    """One thing that would tell the first hypotheses apart, for a table.
-
-    Parameters
-    ----------
-    add : str
-        What to measure besides.
-    hypotheses : str
-        What it tells apart.
-    now, then : str
-        Share of mistakes.
-    """
+class SuggestionRow(NamedTuple):
+    """What to measure besides, the hypotheses that it tells apart, and the share of mistakes now and then."""
 
     add: str
     hypotheses: str

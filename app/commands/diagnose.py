@@ -317,8 +317,7 @@ def recordings(result: Diagnosis) -> str:
 
 def suggestions(result: Diagnosis) -> str:
     """Return what could be done, the best first, as a table."""
-    rows = [(row.add, row.hypotheses, row.now, row.then) for row in suggestion_rows(result)]
-    return table(("add", "for", "wrong now", "then"), rows, frozenset({2, 3}))
+    return table(("add", "for", "wrong now", "then"), suggestion_rows(result), frozenset({2, 3}))
 
 
 def ranking(result: Diagnosis, most: int | None = None) -> str:
