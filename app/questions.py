@@ -12,7 +12,7 @@ from jointplay.app.jobs import tasks
 from jointplay.app.jobs.following import MOST_LESSONS
 from jointplay.app.schemas.resources import DiagnosisRequest
 from jointplay.app.shelves.catalogues import CatalogueShelf, Offer
-from jointplay.app.speeds import speed_of
+from jointplay.app.speeds import speeds_of
 from jointplay.app.storage.asset_rows import AssetRow
 from jointplay.app.storage.assets import Assets, measurements_of
 from jointplay.app.storage.remembered import Remembered
@@ -129,13 +129,18 @@ class Questions:
             raise BadFieldError(said, field=given[-1] if given else "measurement")
         if request.until is not None and request.since is None:
             raise BadFieldError("until: needs since", field="until")
+        if request.speeds is not None and request.measurements is None:
+            raise BadFieldError("speeds: needs measurements", field="speeds")
         if request.measurement is not None:
             return [self.store.measurement(request.measurement)]
         if request.speed not in (None, ""):
-            raise BadFieldError(f"speed: {request.speed}: is for one measurement alone", field="speed")
+            raise BadFieldError(f"speed: {request.speed}: is for one measurement alone: give speeds", field="speed")
         in_order = () if asset is None else asset.in_order
         known = {self.store.measurement(key).sha256 for key in in_order}
         if request.measurements is not None:
+            if request.speeds is not None and len(request.speeds) != len(request.measurements):
+                counts = f"{len(request.speeds)} for {len(request.measurements)} measurements"
+                raise BadFieldError(f"speeds: {counts}: must be one for each, or none", field="speeds")
             named = [self.store.measurement(key) for key in request.measurements]
             for row in named:
                 if row.sha256 in known:
@@ -164,7 +169,8 @@ class Questions:
         AppError
             When something of that does not exist, or breaks a rule.
         """
-        speed = speed_of(request.speed)
+        given = request.model_dump(include={"speed", "speeds", "measurements"})
+        speeds = speeds_of(given) if request.since is None else ()
         offer = self.shelf.find(request.catalogue)
         asset = self.asset_of(request.asset, offer.machine.name)
         in_order = [] if asset is None else self.baselines_of(asset, request.measurement)
@@ -173,7 +179,7 @@ class Questions:
         mapping, prior = dict(request.mapping), request.prior.model_dump()
         place = (str(offer.path), offer.stamp)
         question = tasks.DiagnosisTask(
-            *place, speed, request.effort, request.mode, mapping, prior, baselines, limits_um
+            *place, speeds, request.effort, request.mode, mapping, prior, baselines, limits_um
         )
         return Asked(offer, asset, question, tuple(row.id for row in in_order))
 

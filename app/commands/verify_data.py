@@ -84,14 +84,13 @@ def repeat_newest(settings: ServiceSettings, store: Store, count: int) -> Iterat
     """
     from jointplay.app.jobs.verification import check, repeat
     from jointplay.app.shelves.catalogues import CatalogueShelf
-    from jointplay.app.speeds import speed_of
     from jointplay.app.storage.tombstones import missing
     from jointplay.catalogue.errors import CatalogueError
 
     shelf = CatalogueShelf(settings.catalogues, partial(missing, store.database, "catalogue"))
 
     def verified(row: DiagnosisRow) -> tuple[str, str]:
-        found = check(store, row, speed_of(row.request.get("speed")), shelf.place_of)
+        found = check(store, row, shelf.place_of)
         if found.again is None:
             said = f"diagnosis {row.id}: cannot be repeated: {found.said}"
             return "not_repeated", said if found.is_damaged else ""

@@ -43,8 +43,8 @@ class DiagnosisTask:
         Folder of the catalogue.
     stamp : str
         Changes when the catalogue does, so that an open one is not used for longer than it is true.
-    speed : float, optional
-        Drive speed [rad/s].
+    speeds : tuple of float or None
+        Drive speed [rad/s] of each recording, None where it is not given; empty where no one's is.
     effort : str
         fast, standard or thorough.
     mode : str
@@ -61,7 +61,7 @@ class DiagnosisTask:
 
     catalogue: str
     stamp: str
-    speed: float | None
+    speeds: tuple[float | None, ...]
     effort: Effort
     mode: ModeAsked
     mapping: Mapping[str, str]
@@ -146,6 +146,7 @@ def diagnose_together(
     return ranked(
         [read(*each) for each in recordings],
         open_catalogue(question.catalogue, question.stamp),
+        speeds=question.speeds or None,
         progress=progress,
         **_asked(question),
     )
@@ -166,7 +167,8 @@ def diagnose_measured(
     from jointplay.catalogue.diagnosing.diagnosis import diagnose as ranked
 
     opened = open_catalogue(question.catalogue, question.stamp)
-    return ranked(measurement, opened, speed=question.speed, progress=progress, **_asked(question))
+    (speed,) = question.speeds
+    return ranked(measurement, opened, speed=speed, progress=progress, **_asked(question))
 
 
 def _asked(question: DiagnosisTask) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from jointplay.app.errors import (
     UnknownMeasurementError,
 )
 from jointplay.app.jobs import tasks
+from jointplay.app.speeds import speeds_of
 from jointplay.app.storage.recording_files import check_file
 from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
 from jointplay.app.storage.store import Store
@@ -180,17 +181,13 @@ class Checked:
         return not states.isdisjoint({"damaged", "missing"})
 
 
-def check(
-    store: Store, row: DiagnosisRow, speed: float | None, find: Callable[[str], tuple[str, tuple[str, str]]]
-) -> Checked:
+def check(store: Store, row: DiagnosisRow, find: Callable[[str], tuple[str, tuple[str, str]]]) -> Checked:
     """Check what a diagnosis was made of.
 
     Parameters
     ----------
     store : Store
     row : DiagnosisRow
-    speed : float, optional
-        As asked [rad/s].
     find : callable
         Gives id, and folder and stamp, of the catalogue that has a name now, or raises why there is none.
 
@@ -215,7 +212,7 @@ def check(
         return Checked(recordings, baselines, "other", None, said)
     if bad:
         return Checked(recordings, baselines, "same", None, bad[0].said)
-    return Checked(recordings, baselines, "same", again(store, row, measured, compared, speed, place))
+    return Checked(recordings, baselines, "same", again(store, row, measured, compared, place))
 
 
 def again(
@@ -223,7 +220,6 @@ def again(
     row: DiagnosisRow,
     recordings: list[MeasurementRow],
     baselines: list[MeasurementRow],
-    speed: float | None,
     place: tuple[str, str],
 ) -> Again:
     """Return what is needed to make an answer again.
@@ -234,8 +230,6 @@ def again(
     row : DiagnosisRow
     recordings, baselines : list of MeasurementRow
         All of them.
-    speed : float, optional
-        As asked [rad/s].
     place : (str, str)
         Folder and stamp of the catalogue.
     """
@@ -246,7 +240,7 @@ def again(
 
     # Limits are those of then: the asset may have others by now.
     question = tasks.DiagnosisTask(
-        *(*place, speed, asked["effort"], asked["mode"], asked["mapping"], asked["prior"], files(baselines)),
+        *(*place, speeds_of(asked), asked["effort"], asked["mode"], asked["mapping"], asked["prior"], files(baselines)),
         limits_um=asked.get("limits_um", {}),
     )
     return Again(row.answer.model_dump(mode="json"), files(recordings), question)

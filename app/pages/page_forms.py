@@ -132,8 +132,12 @@ class Beside:
         if asset is not None and members.get("asset") != asset:
             said = f"asset: {members.get('asset', 'none')}: what stands beside it is of asset {asset}"
             raise BadFieldError(said, field="asset")
-        several = [*self.row.measurements, members["measurement"]]
-        return {name: value for name, value in members.items() if name != "measurement"} | {"measurements": several}
+        asked = self.row.request
+        before = asked.get("speeds") or [asked.get("speed") or None] * len(self.row.measurements)
+        several = {"measurements": [*self.row.measurements, members["measurement"]]}
+        if any(speeds := [*before, members.get("speed")]):
+            several["speeds"] = speeds
+        return {name: value for name, value in members.items() if name not in ("measurement", "speed")} | several
 
     def join_sensors(self, mapping: Mapping[str, str], columns: Sequence[str], machine: Machine) -> dict[str, str]:
         """Return which sensor each column of all recordings is.

@@ -56,7 +56,7 @@ def view(row: DiagnosisRow, measurement: MeasurementRow, gone: Sequence[str] = (
         "recording": words.recorded(result, measurement.name),
         "recordings": recording_rows(result),
         "suggestions": suggestion_rows(result),
-        "beside": "" if gone or row.request.get("speed") else urlencode({"beside": row.id} | same_place(row)),
+        "beside": "" if gone else urlencode({"beside": row.id} | same_place(row)),
         "asset": row.request.get("asset"),
         "mapped": ", ".join(
             f"{column}: {sensor or 'not used'}" for column, sensor in row.request.get("mapping", {}).items()

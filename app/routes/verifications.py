@@ -13,7 +13,6 @@ from jointplay.app.jobs.workers import TaskFailedError
 from jointplay.app.problems import PLAIN_TYPE
 from jointplay.app.schemas.custody import CatalogueThen, EvidenceOut, VerificationOut, VersionPair
 from jointplay.app.service import of_request
-from jointplay.app.speeds import speed_of
 from jointplay.app.storage.rows import DiagnosisRow
 
 router = APIRouter(prefix="/diagnoses", tags=["diagnoses"])
@@ -24,8 +23,7 @@ async def verify(request: Request, key: str) -> VerificationOut:
     """Check the files that a diagnosis was made of, make the answer again, and say how it compares."""
     service = of_request(request)
     row = await run_in_threadpool(service.store.diagnosis, key)
-    speed = speed_of(row.request.get("speed"))
-    found = await run_in_threadpool(check, service.store, row, speed, service.shelf.place_of)
+    found = await run_in_threadpool(check, service.store, row, service.shelf.place_of)
     again = Repetition("not_repeated", said=found.said)
     if (asked := found.again) is not None:
         try:

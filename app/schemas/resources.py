@@ -244,6 +244,15 @@ class DiagnosisRequest(Shape):
         BeforeValidator(refuse_bare_speed),
         Field(default=None, description='Drive speed with a unit: "600 rpm", "62.8 rad/s". Estimated when not given.'),
     ]
+    speeds: Annotated[
+        list[Annotated[StrictStr | None, BeforeValidator(refuse_bare_speed)]] | None,
+        Field(
+            default=None,
+            min_length=1,
+            max_length=MOST_TOGETHER,
+            description="In place of `speed`, that of each of `measurements` in turn; null for one that is estimated.",
+        ),
+    ]
     effort: Annotated[Effort, Field(default="standard", description="How much to compute.")]
     mode: Annotated[
         ModeAsked,

@@ -213,7 +213,7 @@ class Behind(Background):
 
 
 BASELINE = ("order.csv", "order.csv", Told())
-THOROUGH = tasks.DiagnosisTask("slider-crank", "", None, "thorough", "auto", {}, {}, (BASELINE,))
+THOROUGH = tasks.DiagnosisTask("slider-crank", "", (None,), "thorough", "auto", {}, {}, (BASELINE,))
 WORN = ("worn.csv", "worn.csv", Told())
 
 
@@ -246,7 +246,7 @@ def test_it_goes_on_and_is_answered_when_asked_again(tmp_path: Path) -> None:
     ("task", "question", "measurement"),
     [
         (tasks.diagnose, THOROUGH, "m2"),
-        (tasks.diagnose, replace(THOROUGH, speed=3.0), "m1"),
+        (tasks.diagnose, replace(THOROUGH, speeds=(3.0,)), "m1"),
         (tasks.diagnose_together, THOROUGH, "m1"),
         (tasks.summarise_and_diagnose, THOROUGH, "m1"),
     ],

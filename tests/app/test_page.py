@@ -339,8 +339,27 @@ def test_a_further_recording_is_diagnosed_together_with_a_result(
     assert [share["sha256"] for share in made["recordings"]] == [
         hashlib.sha256(each).hexdigest() for each in (worn, again)
     ]
-    assert client.get(f"/confirm?measurement={held}&catalogue=slider-crank").text.count('name="speed"') == 1
-    assert 'name="speed"' not in shown, "a speed is that of one recording"
+
+
+def test_each_of_several_recordings_has_a_speed_of_its_own(client: httpx.Client, place: str, again: bytes) -> None:
+    """That of the first was given with it, that of the second is typed, and that of the third is found."""
+    found = [
+        float(confirmed(client.get(each).text)["estimated"])
+        for each in (place, send(client, again).headers["location"])
+    ]
+    given = [round(1.001 * speed, 2) for speed in found]
+    first = ask(client, place, speed=str(given[0])).headers["location"]
+    beside = first.removeprefix("/diagnoses/")
+    second = ask(client, send(client, again, beside=beside).headers["location"], speed=f"{given[1]} rpm").headers[
+        "location"
+    ]
+    made = client.get(f"/api/v1{second}").json()
+    assert [share["drive_speed_rpm"] for share in made["recordings"]] == pytest.approx(given)
+    other = gzip.decompress((RECORDINGS / "slider-crank-03.csv.gz").read_bytes())
+    third = ask(client, send(client, other, beside=made["id"]).headers["location"]).headers["location"]
+    shares = client.get(f"/api/v1{third}").json()["recordings"]
+    assert [share["drive_speed_rpm"] for share in shares][:2] == pytest.approx(given)
+    assert len(shares) == 3
 
 
 def test_what_does_not_fit_to_a_result_is_told_beside_its_field(client: httpx.Client, place: str, again: bytes) -> None:

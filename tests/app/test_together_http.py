@@ -46,6 +46,18 @@ def test_what_each_has_contributed(client: httpx.Client, together: dict[str, Any
     assert client.get(f"{API}/diagnoses/{together['id']}").json() == together
 
 
+def test_a_speed_of_each(client: httpx.Client, together: dict[str, Any], two: list[str]) -> None:
+    """One is given, the other one is found; made again, the answer is the same."""
+    found = [share["drive_speed_rpm"] for share in together["recordings"]]
+    given = round(1.002 * found[0], 2)
+    body = {"measurements": two, "catalogue": "slider-crank", "effort": "fast", "speeds": [f"{given} rpm", None]}
+    answer = client.post(f"{API}/diagnoses", json=body)
+    assert answer.status_code == 201, answer.text
+    assert [share["drive_speed_rpm"] for share in answer.json()["recordings"]] == pytest.approx([given, found[1]])
+    verified = client.get(f"{API}/diagnoses/{answer.json()['id']}/verification").json()
+    assert verified["repeated"] == "equal", verified
+
+
 def test_the_page_and_the_report_show_it(client: httpx.Client, together: dict[str, Any]) -> None:
     page = client.get(f"/diagnoses/{together['id']}").text
     report = client.get(f"{API}/diagnoses/{together['id']}/report", params={"format": "html"}).text
@@ -154,6 +166,11 @@ def test_an_answer_to_equal_bytes_is_one_of_its_own(client: httpx.Client, two: l
         ({"since": "2026-01-01T00:00:00", "asset": "x"}, "since"),
         ({"measurement": "0" * 32, "until": "2026-01-01T00:00:00Z"}, "until"),
         ({"measurements": ["0" * 32], "speed": "600 rpm"}, "speed"),
+        ({"measurements": ["0" * 32], "speeds": ["600 rpm", None]}, "speeds"),
+        ({"measurements": ["0" * 32], "speeds": ["0 rpm"]}, "speeds"),
+        ({"measurements": ["0" * 32], "speeds": [600]}, "speeds.0"),
+        ({"measurement": "0" * 32, "speeds": ["600 rpm"]}, "speeds"),
+        ({"since": "2026-01-01T00:00:00Z", "speeds": ["600 rpm"]}, "speeds"),
     ],
 )
 def test_refusals(client: httpx.Client, members: dict[str, Any], field: str) -> None:
