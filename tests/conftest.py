@@ -11,6 +11,12 @@ import databases
 import pytest
 from hypothesis import HealthCheck, settings
 
+from jointplay.catalogue.processes import ONE_THREAD
+
+# Processes of tests fill all processors: threads of arithmetic besides only wait for each other (a tenth of all work).
+# Whatever comes to be numbers has not been imported yet.
+os.environ.update(ONE_THREAD)
+
 # What tests ask a service is not who may ask; those that ask just that make keys of their own.
 os.environ.setdefault("JOINTPLAY_KEYS", "off")
 
