@@ -59,7 +59,7 @@ format: $(STAMP) ## put the code into the form that the checks want
 	$(BIN)/ruff format .
 
 unit: $(STAMP)
-	$(BIN)/pytest -n $(WORKERS) --dist worksteal -m 'not long'
+	$(BIN)/pytest -n $(WORKERS) --dist worksteal -m 'not long' --durations 30 --durations-min 5
 
 docs: $(STAMP) ## the pages of docs/ as a site in build/docs; a link that leads nowhere is an error
 	$(BIN)/python -m sphinx --fail-on-warning --keep-going --nitpicky --quiet -b html docs build/docs
