@@ -33,7 +33,7 @@ class Evidence:
     Parameters
     ----------
     weights : ndarray, shape (H,)
-        Of the explanations, against what was likely before if joints wore each by itself.
+        Of the explanations, against what was likely before.
     densities : ndarray, shape (H, J, X)
         Likelihood of each clearance in each explanation, relative to what is likely before.
     tells : ndarray, shape (J,)
@@ -76,20 +76,7 @@ def read_answer(answer: Answer, bounds: Mapping[str, JointBounds]) -> Evidence:
     odd = answer.verdict == "unknown" or (answer.verdict == "changed" and not heard)
     doubted = odd or answer.goodness_of_fit.p_value < UNKNOWN_BELOW
     tells = spoken * (1.0 - np.minimum(odds, 1.0 / odds).min(initial=1.0))
-    return Evidence(
-        found / _alone(answer, prior, most), densities, tells, 1.0 if answer.sensors else DOUBTED if doubted else SLIP
-    )
-
-
-def _alone(answer: Answer, prior: Prior, most: int) -> FloatArray:
-    """Probabilities (H,) of an answer's hypotheses before it, did joints wear each by itself.
-
-    As joints are believed in; that they wear together (:class:`Prior`) is so held anew with every answer.
-    """
-    none = prior.weight((), len(answer.joints), most)
-    odds = {joint: prior.weight((joint,), len(answer.joints), most) / none for joint in answer.joints if most}
-    alone = np.array([math.prod(odds[joint] for joint in match.joints) for match in answer.hypotheses])
-    return np.asarray(alone / alone.sum())
+    return Evidence(found / before, densities, tells, 1.0 if answer.sensors else DOUBTED if doubted else SLIP)
 
 
 def _density(found: JointClearance | None, bounds: JointBounds) -> FloatArray:

@@ -29,7 +29,6 @@ from jointplay.catalogue.following.play import (
 )
 from jointplay.catalogue.following.state import CoursePoint, WearState
 from jointplay.catalogue.following.visits import Inspection, Visit
-from jointplay.catalogue.matching.prior import Prior
 from jointplay.solver.machines.machine import parse_machine, shipped_machine
 
 NONE = dict.fromkeys(JOINTS, -6.0)
@@ -202,18 +201,6 @@ def test_an_answer_and_the_state_agree_on_a_machine_that_is_new_to_both() -> Non
         # What an answer takes for likely beforehand is that of sets, not of joints; 3 % of recordings say nothing.
         odds = math.exp(evidence) * worn / (1.0 - worn)
         assert found == pytest.approx(odds / (1.0 + odds), abs=0.03)
-
-
-def test_joints_wear_together() -> None:
-    """Nothing is told of A: beside two joints that are surely worn it is so much likelier, as the answer held it."""
-    prior = Prior()
-    all_three, two, one, none = (prior.weight(JOINTS[:count], 3, 3) for count in (3, 2, 1, 0))
-    worn = BOUNDS["A"].at_first().sum(axis=0)[BOUNDS["A"].worn].sum()
-    for evidence, together in ((-6.0, 1.0), (6.0, all_three * none / (two * one))):
-        told = answer({"A": 0.0, "B": evidence, "O": evidence}, dict.fromkeys(JOINTS, 80e-6))
-        found = followed([Visit(BEGIN, "1", told)]).joints["A"].p_worn
-        odds = together * worn / (1.0 - worn)
-        assert found == pytest.approx(odds / (1.0 + odds), abs=0.03)  # measured 0.25 and 0.52
 
 
 def test_recordings_that_say_the_same_do_not_count_each_anew() -> None:
