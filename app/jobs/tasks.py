@@ -44,7 +44,7 @@ class DiagnosisTask:
     stamp : str
         Changes when the catalogue does, so that an open one is not used for longer than it is true.
     speeds : tuple of float or None
-        Drive speed [rad/s] of each recording, None where it is not given; empty where no one's is.
+        Drive speed [rad/s] of each recording, None where it is not given; empty for those of a window of time.
     effort : str
         fast, standard or thorough.
     mode : str

@@ -342,7 +342,7 @@ def test_a_further_recording_is_diagnosed_together_with_a_result(
 
 
 def test_each_of_several_recordings_has_a_speed_of_its_own(client: httpx.Client, place: str, again: bytes) -> None:
-    """That of the first was given with it, that of the second is typed, and that of the third is found."""
+    """That of the first was given with it, or is found, that of the second is typed, and that of the third is found."""
     found = [
         float(confirmed(client.get(each).text)["estimated"])
         for each in (place, send(client, again).headers["location"])
@@ -360,6 +360,10 @@ def test_each_of_several_recordings_has_a_speed_of_its_own(client: httpx.Client,
     shares = client.get(f"/api/v1{third}").json()["recordings"]
     assert [share["drive_speed_rpm"] for share in shares][:2] == pytest.approx(given)
     assert len(shares) == 3
+    beside = ask(client, place).headers["location"].removeprefix("/diagnoses/")
+    joined = ask(client, send(client, again, beside=beside).headers["location"], speed=str(given[1]))
+    shares = client.get(f"/api/v1{joined.headers['location']}").json()["recordings"]
+    assert [share["drive_speed_rpm"] for share in shares] == pytest.approx([found[0], given[1]])
 
 
 def test_what_does_not_fit_to_a_result_is_told_beside_its_field(client: httpx.Client, place: str, again: bytes) -> None:

@@ -242,7 +242,11 @@ def test_what_tells_the_first_two_apart_comes_first(rows: tuple[DiagnosisRow, Me
         ("speed 96 rpm", f"{first} / {third}"),
         ("sensor s3-y", f"{first} / {second}"),
     ]
-    assert f'href="/?beside={row.id}&amp;catalogue=slider-crank"' in page
+    link = f'href="/?beside={row.id}&amp;catalogue=slider-crank"'
+    given = changed(row, suggestions=told)
+    given.request = {**row.request, "speed": "600 rpm"}
+    turned = templates.env.get_template("_result.html").render(result=view(given, measurement))
+    assert link in page and link in turned
     assert "Measured besides" not in templates.env.get_template("_result.html").render(result=view(row, measurement))
     assert len(report.suggestions) == 1
     assert report.suggestions[0].startswith(f"Sensor s3-y: of {first} and {second} the wrong one")

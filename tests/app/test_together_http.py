@@ -56,6 +56,8 @@ def test_a_speed_of_each(client: httpx.Client, together: dict[str, Any], two: li
     assert [share["drive_speed_rpm"] for share in answer.json()["recordings"]] == pytest.approx([given, found[1]])
     verified = client.get(f"{API}/diagnoses/{answer.json()['id']}/verification").json()
     assert verified["repeated"] == "equal", verified
+    twice = {**body, "measurements": [two[0], two[0]], "speeds": ["600 rpm", "601 rpm"]}
+    assert_problem(client.post(f"{API}/diagnoses", json=twice), 422, "is given twice, and something else is said of it")
 
 
 def test_the_page_and_the_report_show_it(client: httpx.Client, together: dict[str, Any]) -> None:
