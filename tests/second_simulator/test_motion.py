@@ -148,6 +148,7 @@ def test_ideal_rates_are_those_of_the_places(name: str) -> None:
     assert np.abs((rates - slope)[2:-2, :, :2]).max() < 1e-5
 
 
+@pytest.mark.long
 def test_error_falls_with_the_square_of_the_step() -> None:
     mount = Mount("body", (0.0, 0.0), (4e5, 4e5), (50.0, 50.0))
     machine = Machine("mass", "body", {"body": Body(10.0, 1.0, (0.0, 0.0))}, {}, {}, {}, (mount,), gravity=0.0)

@@ -39,6 +39,7 @@ def frame_levels(individual: Individual, steps: int) -> Array:
     return order_levels(accelerations, FINE_RATE, individual.speed / (2 * math.pi))
 
 
+@pytest.mark.long
 def test_levels_do_not_change_with_half_the_step() -> None:
     individual = replace(of("slider-crank", "sound"), revolutions=15.0)
     individual.wear({"B": 3e-4})
@@ -74,6 +75,7 @@ def test_recordings_are_like_those_of_a_third_simulator(name: str) -> None:
     assert np.quantile(np.abs(away), 0.9) < 2.5
 
 
+@pytest.mark.long
 def test_same_seed_same_recording_and_what_is_there_is_kept(tmp_path: Path) -> None:
     machine = read("slider-crank")
     for folder, seed in (("a", 1), ("b", 1), ("c", 2)):
@@ -88,6 +90,7 @@ def test_same_seed_same_recording_and_what_is_there_is_kept(tmp_path: Path) -> N
     assert recording.write(machine, "singles", 1, 1, tmp_path / "a") == ("slider-crank-singles-01", False)
 
 
+@pytest.mark.long
 def test_once_more_at_another_speed(tmp_path: Path) -> None:
     """The same machine in the same state, by the same sensors; another speed, and other noise."""
     machine = read("slider-crank")
@@ -103,7 +106,9 @@ def test_once_more_at_another_speed(tmp_path: Path) -> None:
         assert again[other] != first[other]
 
 
-@pytest.mark.parametrize("machine", MACHINES)
+@pytest.mark.parametrize(
+    "machine", [MACHINES[0], *(pytest.param(name, marks=pytest.mark.long) for name in MACHINES[1:])]
+)
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_protocols_are_what_they_say(machine: str, protocol: str) -> None:
     counts = {"singles": 1, "pairs": 2, "triples": 3, "beyond-range": 1, "growing": 1, "disturbed-worn": 1}
