@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 
 import numpy as np
@@ -13,7 +13,7 @@ from scipy.special import logit
 from jointplay.catalogue.diagnosing.answer import Answer
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.following.causes import follow_causes
-from jointplay.catalogue.following.evidence import Evidence, read_answer, read_measured, weigh
+from jointplay.catalogue.following.evidence import Evidence, measure_bias, read_answer, read_measured, weigh
 from jointplay.catalogue.following.play import (
     REPAIRS,
     YEAR,
@@ -72,15 +72,16 @@ def follow(
     """
     _check(visits, inspections, list(bounds))
     taught = correction or Correction()
-    events = put_in_order(visits, inspections)
+    events = put_in_order([replace(visit, answer=taught.apply(visit.answer)) for visit in visits], inspections)
+    heard = [event for event in events if isinstance(event, Visit)]
+    bias = iter(measure_bias(heard, bounds))
     following = _Following.begin(bounds)
     for event in events:
         following.pass_until(event.at)
         if isinstance(event, Inspection):
             following.inspect(event)
         else:
-            following.hear(taught.apply(event.answer))
-    heard = [event for event in events if isinstance(event, Visit)]
+            following.hear(event.answer, next(bias))
     return WearState(
         at=events[-1].at,
         visits=len(heard),
@@ -194,11 +195,13 @@ class _Following:
                 joint.found, joint.sure_since = True, None
                 self.repairs.append(Repair(at=found.at, joint=name, probability=1.0))
 
-    def hear(self, answer: Answer) -> None:
-        """Hear an answer to a recording of now."""
+    def hear(self, answer: Answer, bias: FloatArray | None) -> None:
+        """Hear an answer to a recording of now, and what it is known to have wrong."""
         assert self.at is not None
         without = _marginal(self.belief)
-        self.belief *= (self._beside(without, read_answer(answer, self.bounds)) / np.maximum(without, 1e-300))[:, None]
+        self.belief *= (self._beside(without, read_answer(answer, self.bounds, bias)) / np.maximum(without, 1e-300))[
+            :, None
+        ]
         self.belief /= self.belief.sum(axis=(1, 2), keepdims=True)
         marginal = _marginal(self.belief)
         for j, (name, joint) in enumerate(self.joints.items()):

@@ -10,7 +10,7 @@ from datetime import datetime, timedelta
 
 import numpy as np
 import pytest
-from lives import BEGIN, BOUNDS, JOINTS, answer, course_of_wear
+from lives import BEGIN, BOUNDS, JOINTS, PAST, answer, course_of_wear
 
 from jointplay.catalogue.diagnosing.answer import Cause, SensorFlaw
 from jointplay.catalogue.errors import DiagnosisError
@@ -201,6 +201,27 @@ def test_an_answer_and_the_state_agree_on_a_machine_that_is_new_to_both() -> Non
         # What an answer takes for likely beforehand is that of sets, not of joints; 3 % of recordings say nothing.
         odds = math.exp(evidence) * worn / (1.0 - worn)
         assert found == pytest.approx(odds / (1.0 + odds), abs=0.03)
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_what_is_said_of_the_machine_in_order_is_wrong_later_too(late: bool) -> None:
+    """By so much more has wear to show in a joint; what is said as it should be changes nothing."""
+
+    def last(usual: float, now: float, in_order: str = "1") -> float:
+        past = PAST.model_copy(update={"measurement_sha256": in_order})
+        visits = []
+        for number, evidence in enumerate((usual, usual, usual, now)):
+            told = answer({**NONE, "B": evidence}, {**AS_NEW, "B": 60e-6}, verdict="unknown")
+            told = told.model_copy(update={"baseline": past})
+            visits.append(Visit(BEGIN + timedelta(days=30 * number), str(number), told))
+        return followed(visits[::-1] if late else visits).joints["B"].p_worn
+
+    # Measured: 0.21 and 0.76, 0.87 and 0.97, 0.61 twice, 0.98.
+    assert last(1.0, 2.0) < 0.3 < 0.6 < last(1.0, 2.0, in_order="another")
+    assert 0.7 < last(1.0, 6.0) < last(1.0, 6.0, in_order="another")
+    assert last(-4.0, 2.0) == last(-4.0, 2.0, in_order="another")
+    # That a machine in order looks as worn as that, nobody believes.
+    assert last(9.0, 9.0) > 0.7
 
 
 def test_recordings_that_say_the_same_do_not_count_each_anew() -> None:
