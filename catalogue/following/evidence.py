@@ -3,30 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from jointplay.catalogue.diagnosing.answer import Answer, JointClearance
 from jointplay.catalogue.following.play import AXIS, STEP, JointBounds
-from jointplay.catalogue.following.visits import Visit
 from jointplay.catalogue.matching.modes import UNKNOWN_BELOW
 from jointplay.catalogue.matching.prior import Prior
 from jointplay.catalogue.matching.together import LEAST_DENSITY
-from jointplay.solver.arrays import BoolArray, FloatArray
+from jointplay.solver.arrays import FloatArray
 
 SLIP, DOUBTED = 0.03, 0.1
 """Share of recordings that say nothing of wear, whatever they look like; and of those that the machine as filed, worn
 or not, does not explain."""
-
-IN_ORDER, MOST_BIAS = -2.0, 5.0
-"""ln(odds) of wear, against what is likely before, that an answer beside the past may give a joint of a machine in
-order without being wrong; and by how much it is wrong at most: what is said to be in order may have been worn."""
-
-SCATTER = 0.25
-"""Variance of that between answers to one machine, as a part of that between machines: 0.4 and 0.8 squared."""
 
 HALF_90 = 1.6449
 """Half width of a 90 % interval in standard deviations."""
@@ -58,7 +49,7 @@ class Evidence:
     slip: float
 
 
-def read_answer(answer: Answer, bounds: Mapping[str, JointBounds], bias: FloatArray | None = None) -> Evidence:
+def read_answer(answer: Answer, bounds: Mapping[str, JointBounds], bias: FloatArray) -> Evidence:
     """Return what an answer says.
 
     Parameters
@@ -66,16 +57,19 @@ def read_answer(answer: Answer, bounds: Mapping[str, JointBounds], bias: FloatAr
     answer : Answer
     bounds : mapping of str to JointBounds
         Of all joints that may wear, in the order of the grid's.
-    bias : ndarray, shape (J,), optional
-        By how much, in ln(odds), it is known to speak too much for wear in each joint, see :func:`measure_bias`.
+    bias : ndarray, shape (J,)
+        By how much, in ln(odds), it speaks too much for wear in each, as far as it tells anything.
     """
-    before, found, worn = _weights(answer, bounds)
-    if bias is not None:
-        found = found * np.exp(-(worn @ bias))
-        found = found / found.sum()
+    prior = Prior(answer.prior.worn, answer.prior.another, answer.prior.joints)
+    most = max(len(match.joints) for match in answer.hypotheses)
+    before = np.array([prior.weight(match.joints, len(answer.joints), most) for match in answer.hypotheses])
+    before = before / before.sum()
+    found = np.maximum([match.probability for match in answer.hypotheses], 1e-12)
+    worn = np.array([[joint in match.joints for joint in bounds] for match in answer.hypotheses])
     spoken = worn.any(axis=0) & ~worn.all(axis=0)
-    odds = _odds(before, found, worn[:, spoken])
-    heard = _is_beside_past(answer)
+    unsettled = worn[:, spoken]
+    odds = (found @ unsettled) / (found @ ~unsettled) * (before @ ~unsettled) / (before @ unsettled)
+    heard = answer.baseline is not None and answer.baseline.heard
     densities = np.array(
         [[_density(match.joints.get(joint), own) for joint, own in bounds.items()] for match in answer.hypotheses]
     )
@@ -84,55 +78,10 @@ def read_answer(answer: Answer, bounds: Mapping[str, JointBounds], bias: FloatAr
     odd = answer.verdict == "unknown" or (answer.verdict == "changed" and not heard)
     doubted = odd or answer.goodness_of_fit.p_value < UNKNOWN_BELOW
     tells = spoken * (1.0 - np.minimum(odds, 1.0 / odds).min(initial=1.0))
-    return Evidence(found / before, densities, tells, 1.0 if answer.sensors else DOUBTED if doubted else SLIP)
-
-
-def measure_bias(visits: Sequence[Visit], bounds: Mapping[str, JointBounds]) -> list[FloatArray | None]:
-    """Return by how much, in ln(odds) (J,), the answer of each visit is known to speak too much for wear in each joint.
-
-    Recordings that others are compared with are of the machine in order. What answers to them, beside one another, say
-    for wear all the same they have wrong of this machine, and later ones have it wrong, too (docs/decisions/0223). None
-    where nothing is known of that: answers of the same catalogue and effort tell it.
-    """
-    in_order = {sha256 for visit in visits for sha256 in _in_order(visit.answer)}
-    said: dict[tuple[str, str], list[FloatArray]] = defaultdict(list)
-    for visit in visits:
-        if visit.sha256 in in_order and _is_beside_past(visit.answer):
-            before, found, worn = _weights(visit.answer, bounds)
-            spoken = worn.any(axis=0) & ~worn.all(axis=0)
-            own = np.full(len(bounds), IN_ORDER)
-            own[spoken] = np.log(_odds(before, found, worn[:, spoken]))
-            said[visit.answer.catalogue, visit.answer.effort].append(own - IN_ORDER)
-    bias = {kind: np.clip(np.sum(each, axis=0) / (len(each) + SCATTER), 0.0, MOST_BIAS) for kind, each in said.items()}
-    answers = [visit.answer for visit in visits]
-    return [bias.get((each.catalogue, each.effort)) if _is_beside_past(each) else None for each in answers]
-
-
-def _is_beside_past(answer: Answer) -> bool:
-    """Whether an answer has heard how its recording differs from those of the machine in order."""
-    return answer.baseline is not None and answer.baseline.heard
-
-
-def _in_order(answer: Answer) -> list[str]:
-    """Checksums of the recordings of the machine in order that an answer's is compared with."""
-    if answer.baseline is None:
-        return []
-    return [answer.baseline.measurement_sha256, *(each.measurement_sha256 for each in answer.baseline.further)]
-
-
-def _weights(answer: Answer, bounds: Mapping[str, JointBounds]) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Probabilities (H,) of an answer's hypotheses before it and by it, and which joints each holds worn (H, J)."""
-    prior = Prior(answer.prior.worn, answer.prior.another, answer.prior.joints)
-    most = max(len(match.joints) for match in answer.hypotheses)
-    before = np.array([prior.weight(match.joints, len(answer.joints), most) for match in answer.hypotheses])
-    found = np.maximum([match.probability for match in answer.hypotheses], 1e-12)
-    worn = np.array([[joint in match.joints for joint in bounds] for match in answer.hypotheses])
-    return before / before.sum(), found, worn
-
-
-def _odds(before: FloatArray, found: FloatArray, worn: BoolArray) -> FloatArray:
-    """By how much the odds of wear in joints (J,) change, by hypotheses (H,) that hold them worn (H, J) or not."""
-    return np.asarray((found @ worn) / (found @ ~worn) * (before @ ~worn) / (before @ worn))
+    found = found * np.exp(-(worn @ (bias * tells)))
+    return Evidence(
+        found / found.sum() / before, densities, tells, 1.0 if answer.sensors else DOUBTED if doubted else SLIP
+    )
 
 
 def _density(found: JointClearance | None, bounds: JointBounds) -> FloatArray:
