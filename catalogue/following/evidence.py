@@ -49,7 +49,7 @@ class Evidence:
     slip: float
 
 
-def read_answer(answer: Answer, bounds: Mapping[str, JointBounds], bias: FloatArray) -> Evidence:
+def read_answer(answer: Answer, bounds: Mapping[str, JointBounds]) -> Evidence:
     """Return what an answer says.
 
     Parameters
@@ -57,8 +57,6 @@ def read_answer(answer: Answer, bounds: Mapping[str, JointBounds], bias: FloatAr
     answer : Answer
     bounds : mapping of str to JointBounds
         Of all joints that may wear, in the order of the grid's.
-    bias : ndarray, shape (J,)
-        By how much, in ln(odds), it speaks too much for wear in each, as far as it tells anything.
     """
     prior = Prior(answer.prior.worn, answer.prior.another, answer.prior.joints)
     most = max(len(match.joints) for match in answer.hypotheses)
@@ -78,10 +76,7 @@ def read_answer(answer: Answer, bounds: Mapping[str, JointBounds], bias: FloatAr
     odd = answer.verdict == "unknown" or (answer.verdict == "changed" and not heard)
     doubted = odd or answer.goodness_of_fit.p_value < UNKNOWN_BELOW
     tells = spoken * (1.0 - np.minimum(odds, 1.0 / odds).min(initial=1.0))
-    found = found * np.exp(-(worn @ (bias * tells)))
-    return Evidence(
-        found / found.sum() / before, densities, tells, 1.0 if answer.sensors else DOUBTED if doubted else SLIP
-    )
+    return Evidence(found / before, densities, tells, 1.0 if answer.sensors else DOUBTED if doubted else SLIP)
 
 
 def _density(found: JointClearance | None, bounds: JointBounds) -> FloatArray:

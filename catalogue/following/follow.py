@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 
 import numpy as np
@@ -12,7 +12,6 @@ from scipy.special import logit
 
 from jointplay.catalogue.diagnosing.answer import Answer
 from jointplay.catalogue.errors import DiagnosisError
-from jointplay.catalogue.following.bias import measure_bias
 from jointplay.catalogue.following.causes import follow_causes
 from jointplay.catalogue.following.evidence import Evidence, read_answer, read_measured, weigh
 from jointplay.catalogue.following.play import (
@@ -73,16 +72,15 @@ def follow(
     """
     _check(visits, inspections, list(bounds))
     taught = correction or Correction()
-    events = put_in_order([replace(visit, answer=taught.apply(visit.answer)) for visit in visits], inspections)
-    heard = [event for event in events if isinstance(event, Visit)]
-    bias = measure_bias(heard, list(bounds), taught.temperature)
+    events = put_in_order(visits, inspections)
     following = _Following.begin(bounds)
     for event in events:
         following.pass_until(event.at)
         if isinstance(event, Inspection):
             following.inspect(event)
         else:
-            following.hear(event.answer, bias[event.sha256])
+            following.hear(taught.apply(event.answer))
+    heard = [event for event in events if isinstance(event, Visit)]
     return WearState(
         at=events[-1].at,
         visits=len(heard),
@@ -196,12 +194,11 @@ class _Following:
                 joint.found, joint.sure_since = True, None
                 self.repairs.append(Repair(at=found.at, joint=name, probability=1.0))
 
-    def hear(self, answer: Answer, bias: FloatArray) -> None:
-        """Hear an answer to a recording of now that speaks so much too much for wear in the joints (J,)."""
+    def hear(self, answer: Answer) -> None:
+        """Hear an answer to a recording of now."""
         assert self.at is not None
         without = _marginal(self.belief)
-        now = self._beside(without, read_answer(answer, self.bounds, bias))
-        self.belief *= (now / np.maximum(without, 1e-300))[:, None]
+        self.belief *= (self._beside(without, read_answer(answer, self.bounds)) / np.maximum(without, 1e-300))[:, None]
         self.belief /= self.belief.sum(axis=(1, 2), keepdims=True)
         marginal = _marginal(self.belief)
         for j, (name, joint) in enumerate(self.joints.items()):

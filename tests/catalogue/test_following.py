@@ -5,17 +5,14 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Mapping
 from dataclasses import replace
 from datetime import datetime, timedelta
-from typing import Any
 
 import numpy as np
 import pytest
-from lives import BEGIN, BOUNDS, JOINTS, PAST, answer, course_of_wear
+from lives import BEGIN, BOUNDS, JOINTS, answer, course_of_wear
 
 from jointplay.catalogue.diagnosing.answer import Cause, SensorFlaw
-from jointplay.catalogue.diagnosing.answer_of_baseline import BaselineRecording
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.following import follow as following
 from jointplay.catalogue.following import play
@@ -204,55 +201,6 @@ def test_an_answer_and_the_state_agree_on_a_machine_that_is_new_to_both() -> Non
         # What an answer takes for likely beforehand is that of sets, not of joints; 3 % of recordings say nothing.
         odds = math.exp(evidence) * worn / (1.0 - worn)
         assert found == pytest.approx(odds / (1.0 + odds), abs=0.03)
-
-
-def beside_past(said: list[float], now: float, changed: Mapping[str, Any] | None = None) -> list[Visit]:
-    """Answers with so much evidence for B, each beside the first three but itself; these with some members changed."""
-    visits = []
-    for number, evidence in enumerate((*said, now)):
-        first, *further = [str(each) for each in range(3) if each != number]
-        recordings = tuple(BaselineRecording(measurement=each, measurement_sha256=each) for each in further)
-        past = PAST.model_copy(update={"measurement_sha256": first, "further": recordings})
-        told = answer({**NONE, "B": evidence}, {**AS_NEW, "B": 60e-6}, verdict="unknown")
-        told = told.model_copy(update={"baseline": past, **((number < 3 and changed) or {})})
-        visits.append(Visit(BEGIN + timedelta(days=30 * number), str(number), told))
-    return visits
-
-
-def test_what_is_said_of_the_machine_in_order_is_wrong_later_too() -> None:
-    """By so much more has wear to show in a joint; what is said as it should be changes nothing."""
-
-    def last(said: list[float], now: float, **changed: Any) -> float:
-        visits = beside_past(said, now, changed)
-        assert followed([*visits[::-1], visits[1]]) == followed(visits)
-        return followed(visits).joints["B"].p_worn
-
-    unknown = last([1.0] * 3, 2.0, catalogue="another")
-    assert last([1.0] * 3, 2.0) < 0.3 < 0.6 < unknown  # measured 0.15 and 0.76
-    assert 0.7 < last([1.0] * 3, 6.0) < last([1.0] * 3, 6.0, catalogue="another")
-    assert last([-4.0] * 3, 2.0) == last([-4.0] * 3, 2.0, catalogue="another")
-    # What flawed sensors tell, or an answer without the past, is of another kind; nobody looks as worn as 9 in order.
-    flaw = SensorFlaw(kind="dead", sensors=("s1-x",), said="s1-x says nothing")
-    assert last([1.0] * 3, 2.0, sensors=(flaw,)) > 0.6
-    assert last([1.0] * 3, 2.0, baseline=None) > 0.6
-    assert last([9.0] * 3, 9.0) > 0.7
-    assert last([-6.0, -6.0, 25.0], 9.0) == last([-6.0, -6.0, 25.0], 9.0, catalogue="another")
-
-
-def test_recordings_in_order_that_have_one_answer_tell_what_is_wrong() -> None:
-    visits = beside_past([1.0] * 3, 2.0)
-    common = replace(visits[2], sha256="0 1 2")
-    assert followed([common, visits[3]]).joints["B"].p_worn < 0.3
-
-
-def test_what_is_known_to_be_wrong_does_not_speak_where_a_recording_does_not() -> None:
-    """A joint that was surely worn is no less so by a recording that tells nothing."""
-    visits = beside_past([1.0] * 3 + [8.0] * 5, 0.0)
-    neutral = answer(dict.fromkeys(JOINTS, 0.0), {**AS_NEW, "B": 60e-6}).model_copy(
-        update={"baseline": visits[-1].answer.baseline}
-    )
-    state = followed([*visits[:-1], replace(visits[-1], answer=neutral)])
-    assert state.joints["B"].p_worn > 0.9 and not state.repairs
 
 
 def test_recordings_that_say_the_same_do_not_count_each_anew() -> None:
