@@ -17,7 +17,6 @@ from jointplay.app.problems import Problem
 from jointplay.app.schemas.resources import DiagnosisRequest
 from jointplay.app.speeds import speed_of
 from jointplay.app.storage.rows import DiagnosisRow
-from jointplay.catalogue.diagnosing.question import MOST_TOGETHER
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.matching.prior import Prior
 from jointplay.catalogue.signals.sensors import match_by_name
@@ -124,7 +123,7 @@ class Beside:
         Raises
         ------
         BadFieldError
-            When that is of another machine or asset, or there are too many.
+            When that is of another machine or asset.
         """
         own, asset = self.row.answer.machine, self.row.request.get("asset")
         if machine.name != own:
@@ -136,9 +135,6 @@ class Beside:
         asked = self.row.request
         before = asked.get("speeds") or [asked.get("speed") or None] * len(self.row.measurements)
         several = {"measurements": [*self.row.measurements, members["measurement"]]}
-        if len(several["measurements"]) > MOST_TOGETHER:
-            said = f"measurements: {len(several['measurements'])}: must be at most {MOST_TOGETHER}"
-            raise BadFieldError(said, field="measurements")
         if any(speeds := [*before, members.get("speed")]):
             several["speeds"] = speeds
         return {name: value for name, value in members.items() if name not in ("measurement", "speed")} | several
