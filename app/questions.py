@@ -134,7 +134,7 @@ class Questions:
         if request.measurement is not None:
             return [self.store.measurement(request.measurement)]
         if request.speed not in (None, ""):
-            rule = "is for one measurement alone: give measurements, and speeds"
+            rule = "is for one measurement alone: with measurements, give speeds"
             raise BadFieldError(f"speed: {request.speed}: {rule}", field="speed")
         in_order = () if asset is None else asset.in_order
         known = {self.store.measurement(key).sha256 for key in in_order}
