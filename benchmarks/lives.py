@@ -1,21 +1,23 @@
 """Lives of machines by the second simulator of the tests: what single answers and the state of wear say, and the truth.
 
     PYTHONPATH=tests python -m second_simulator --protocol lives --machine slider-crank --count 180 --out recordings
-    python -m benchmarks.lives recordings --catalogues DIR [--effort thorough] [--answers answers.jsonl]
+    python -m benchmarks.lives answers.jsonl --recordings recordings --catalogues DIR [--effort thorough]
+    python -m benchmarks.lives tests/data/lives.jsonl.gz
 
 Every recording is diagnosed by itself, and, with that effort, beside the first ones of its machine; answers are kept in
-a file, one a line, so that judging again costs little and what was broken off goes on. Figures are those of `jointplay
-evaluate --protocol lives`.
+a file, one a line with what is true beside it, so that what was broken off goes on, and another state of wear is judged
+by the same answers in seconds. Figures are those of `jointplay evaluate --protocol lives`.
 """
 
 from __future__ import annotations
 
 import argparse
+import gzip
 import json
 import sys
 import time
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -32,42 +34,56 @@ from jointplay.catalogue.matching.modes import Effort
 from jointplay.catalogue.measurements.measured_spectrum import read_recording
 from jointplay.catalogue.measurements.measurement import read_measurement
 from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.machines.machine import shipped_machine
 
 UM = 1e-6
 
+Line = Mapping[str, Any]
+"""Name and checksum of a recording, its truth, and the answers to it or why there is none."""
 
-def told(
-    folder: Path, catalogues: Path, kept: Path, only: str, effort: Effort
-) -> Iterator[tuple[Catalogue, list[Life]]]:
-    """Yield the lives of every machine that has a catalogue, diagnosing what has no answer yet."""
+
+def read_lines(answers: Path) -> list[Line]:
+    """Return the lines of a file of answers, compressed or not; none where there is no such file."""
+    if not answers.exists():
+        return []
+    content = answers.read_bytes()
+    return [
+        json.loads(line) for line in (gzip.decompress(content) if answers.suffix == ".gz" else content).splitlines()
+    ]
+
+
+def lives_of(lines: Sequence[Line]) -> dict[str, list[Life]]:
+    """Return the lives of each machine, by the name of its file."""
+    grouped: dict[tuple[str, int], list[Line]] = defaultdict(list)
+    for line in sorted(lines, key=lambda each: _place(each["truth"])):
+        grouped[line["truth"]["machine"], line["truth"]["life"]["number"]].append(line)
+    lives: dict[str, list[Life]] = defaultdict(list)
+    for (machine, number), own in grouped.items():
+        lives[machine].append(_life(f"{machine} {number}", own))
+    return lives
+
+
+def answer_all(folder: Path, catalogues: Path, answers: Path, only: str, effort: Effort) -> None:
+    """Diagnose recordings in a folder that have no answer yet and whose machine has a catalogue."""
     truths = {
         name: truth for file in folder.rglob("truth.json") for name, truth in json.loads(file.read_text()).items()
     }
-    answers = {}
-    if kept.exists():
-        answers = {line["name"]: line for line in map(json.loads, kept.read_text().splitlines())}
-    machines: dict[str, list[str]] = defaultdict(list)
+    known = {line["name"] for line in read_lines(answers)}
+    lives: dict[tuple[str, int], list[str]] = defaultdict(list)
     for name, truth in sorted(truths.items(), key=lambda each: _place(each[1])):
         if only in name and "life" in truth and (catalogues / truth["machine"]).is_dir():
-            machines[truth["machine"]].append(name)
-    for machine, names in machines.items():
+            lives[truth["machine"], truth["life"]["number"]].append(name)
+    for (machine, _), own in lives.items():
         catalogue = Catalogue.open(catalogues / machine)
-        lives: dict[int, list[str]] = defaultdict(list)
-        with kept.open("a") as out:
-            for name in names:
-                own = lives[truths[name]["life"]["number"]]
-                own.append(name)
-                if name not in answers:
-                    first = [next(folder.rglob(f"{each}.npz")) for each in own[:BASELINES] if each != name]
-                    answers[name] = _diagnose(name, next(folder.rglob(f"{name}.npz")), first, catalogue, effort)
-                    print(json.dumps(answers[name]), file=out, flush=True)
-        yield (
-            catalogue,
-            [
-                _life(f"{machine} {number}", [truths[name] for name in each], [answers[name] for name in each])
-                for number, each in lives.items()
-            ],
-        )
+        files = {name: next(folder.rglob(f"{name}.npz")) for name in own}
+        for name in own:
+            if name not in known:
+                first = [files[each] for each in own[:BASELINES] if each != name]
+                # Each of the first ones has another past, whose machine effort thorough would simulate for it alone.
+                asked = "standard" if name in own[:BASELINES] else effort
+                line = {"truth": truths[name], **_diagnose(name, files[name], first, catalogue, asked)}
+                with answers.open("a") as out:
+                    print(json.dumps(line), file=out)
 
 
 def _place(truth: Mapping[str, Any]) -> tuple[int, int]:
@@ -76,7 +92,7 @@ def _place(truth: Mapping[str, Any]) -> tuple[int, int]:
 
 
 def _diagnose(name: str, file: Path, first: list[Path], catalogue: Catalogue, effort: Effort) -> dict[str, Any]:
-    """One line: name, checksum, seconds, and the answers without their evidence, or why there is none."""
+    """One line but for its truth."""
     began = time.perf_counter()
     found: dict[str, Any]
     recording = read_recording(file)
@@ -84,10 +100,7 @@ def _diagnose(name: str, file: Path, first: list[Path], catalogue: Catalogue, ef
     try:
         alone = diagnose(recording, catalogue)
         answer = diagnose(recording, catalogue, effort=effort, baseline=baseline) if baseline else alone
-        found = {
-            what: each.model_copy(update={"evidence": Evidence(orders=(), bands=())}).model_dump(mode="json")
-            for what, each in (("answer", answer), ("alone", alone))
-        }
+        found = {what: _brief(each) for what, each in (("answer", answer), ("alone", alone))}
     except CatalogueError as error:
         found = {"answer": None, "refusal": str(error)}
     seconds = round(time.perf_counter() - began, 3)
@@ -95,19 +108,29 @@ def _diagnose(name: str, file: Path, first: list[Path], catalogue: Catalogue, ef
     return {"name": name, "sha256": recording.sha256, "seconds": seconds, **found}
 
 
-def _life(name: str, truths: list[Mapping[str, Any]], answers: list[Mapping[str, Any]]) -> Life:
-    """A life from what is written beside its recordings."""
+def _brief(answer: Diagnosis) -> Any:
+    """An answer as a line has it: what the state of wear hears of it, to six digits."""
+    bare = {"evidence": Evidence(orders=(), bands=()), "suggestions": (), "warnings": ()}
+    text = answer.model_copy(update=bare).model_dump_json()
+    return json.loads(text, parse_float=lambda digits: float(f"{float(digits):.6g}"))
+
+
+def _life(name: str, lines: Sequence[Line]) -> Life:
+    """A life from the lines of its visits, in the order of time."""
     visits, inspections, repairs, mount = [], [], [], None
-    for place, (truth, said) in enumerate(zip(truths, answers, strict=True)):
-        life = truth["life"]
+    for place, line in enumerate(lines):
+        truth, life = line["truth"], line["truth"]["life"]
+        answer, alone = (
+            Diagnosis.model_validate(line[each]) if line["answer"] else None for each in ("answer", "alone")
+        )
         visits.append(
             LifeVisit(
                 at=datetime.fromisoformat(life["measured_at"]),
-                sha256=said["sha256"],
+                sha256=line["sha256"],
                 clearances={joint: UM * um for joint, um in truth["clearances_um"].items()},
-                answer=None if said["answer"] is None else Diagnosis.model_validate(said["answer"]),
+                answer=answer,
                 arrivals=tuple(life["arrivals"]),
-                alone=None if said["answer"] is None else Diagnosis.model_validate(said["alone"]),
+                alone=alone,
             )
         )
         if life["repaired"]:
@@ -125,17 +148,20 @@ def _life(name: str, truths: list[Mapping[str, Any]], answers: list[Mapping[str,
 def main() -> int:
     """Print the figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("recordings", type=Path)
-    parser.add_argument("--catalogues", type=Path, required=True, help="folder with one catalogue a machine")
-    parser.add_argument("--answers", type=Path, help="file of answers; answers-EFFORT.jsonl in the folder")
+    parser.add_argument("answers", type=Path, help="file of answers, one a line")
+    parser.add_argument("--recordings", type=Path, help="folder whose recordings are diagnosed before")
+    parser.add_argument("--catalogues", type=Path, help="folder with one catalogue a machine")
     parser.add_argument("--effort", choices=("fast", "standard", "thorough"), default="standard")
     parser.add_argument("--only", default="", help="recordings with this in their name")
     given = parser.parse_args()
-    kept = given.answers or given.recordings / f"answers-{given.effort}.jsonl"
+    if given.recordings:
+        if not given.catalogues:
+            parser.error("--recordings: needs --catalogues, too")
+        answer_all(given.recordings, given.catalogues, given.answers, given.only, given.effort)
     judged = []
-    for catalogue, lives in told(given.recordings, given.catalogues, kept, given.only, given.effort):
-        bounds = bounds_of(catalogue.machine, catalogue.machine.wearing_joints)
-        judged += [judge_life(life, bounds) for life in lives]
+    for name, lives in lives_of([line for line in read_lines(given.answers) if given.only in line["name"]]).items():
+        machine = Catalogue.open(given.catalogues / name).machine if given.catalogues else shipped_machine(name)
+        judged += [judge_life(life, bounds_of(machine, machine.wearing_joints)) for life in lives]
     if judged:
         print(table(("figure", "seen", "95 %"), [each.shown() for each in figures_of_lives(judged)]))
     return 0 if judged else 1
