@@ -4,9 +4,10 @@
     python -m benchmarks.lives answers.jsonl --recordings recordings --catalogues DIR [--effort thorough]
     python -m benchmarks.lives tests/data/lives.jsonl.gz
 
-Every recording is diagnosed by itself, and, with that effort, beside the first ones of its machine; answers are kept in
-a file, one a line with what is true beside it, so that what was broken off goes on, and another state of wear is judged
-by the same answers in seconds. Figures are those of `jointplay evaluate --protocol lives`.
+Every recording is diagnosed by itself, and beside the first ones of its machine with that effort, the first ones beside
+each other with `standard`. Answers are kept in a file, one a line with what is true beside it, so that what was broken
+off goes on, and another state of wear is judged by the same answers in seconds. Figures are those of `jointplay
+evaluate --protocol lives`.
 """
 
 from __future__ import annotations
@@ -43,17 +44,24 @@ Line = Mapping[str, Any]
 
 
 def read_lines(answers: Path) -> list[Line]:
-    """Return the lines of a file of answers, compressed or not; none where there is no such file."""
-    if not answers.exists():
-        return []
+    """Return the lines of a file of answers, compressed or not.
+
+    Raises
+    ------
+    SystemExit
+        A line has no truth, as those of earlier versions.
+    """
     content = answers.read_bytes()
-    return [
-        json.loads(line) for line in (gzip.decompress(content) if answers.suffix == ".gz" else content).splitlines()
-    ]
+    content = gzip.decompress(content) if answers.suffix == ".gz" else content
+    lines = [json.loads(line) for line in content.splitlines()]
+    for line in lines:
+        if "truth" not in line:
+            raise SystemExit(f"{answers}: {line['name']}: no truth: must stand beside the answer; diagnose again")
+    return lines
 
 
 def lives_of(lines: Sequence[Line]) -> dict[str, list[Life]]:
-    """Return the lives of each machine, by the name of its file."""
+    """Return the lives of each machine, by its name."""
     grouped: dict[tuple[str, int], list[Line]] = defaultdict(list)
     for line in sorted(lines, key=lambda each: _place(each["truth"])):
         grouped[line["truth"]["machine"], line["truth"]["life"]["number"]].append(line)
@@ -63,27 +71,49 @@ def lives_of(lines: Sequence[Line]) -> dict[str, list[Life]]:
     return lives
 
 
-def answer_all(folder: Path, catalogues: Path, answers: Path, only: str, effort: Effort) -> None:
-    """Diagnose recordings in a folder that have no answer yet and whose machine has a catalogue."""
+def answer_all(folder: Path, catalogues: Path, answers: Path, effort: Effort) -> None:
+    """Diagnose recordings in a folder that have no answer yet and whose machine has a catalogue.
+
+    A life counts as soon as the recordings that are its baseline are there.
+
+    Raises
+    ------
+    SystemExit
+        The file has answers of other recordings of these names, or of another effort.
+    """
     truths = {
         name: truth for file in folder.rglob("truth.json") for name, truth in json.loads(file.read_text()).items()
     }
-    known = {line["name"] for line in read_lines(answers)}
+    answers.touch()
+    known = {line["name"]: line for line in read_lines(answers)}
     lives: dict[tuple[str, int], list[str]] = defaultdict(list)
     for name, truth in sorted(truths.items(), key=lambda each: _place(each[1])):
-        if only in name and "life" in truth and (catalogues / truth["machine"]).is_dir():
+        if "life" in truth and (catalogues / truth["machine"]).is_dir():
             lives[truth["machine"], truth["life"]["number"]].append(name)
     for (machine, _), own in lives.items():
         catalogue = Catalogue.open(catalogues / machine)
+        baselines = [name for name in own if truths[name]["life"]["visit"] <= BASELINES]
+        if len(baselines) < BASELINES:
+            continue
         files = {name: next(folder.rglob(f"{name}.npz")) for name in own}
         for name in own:
-            if name not in known:
-                first = [files[each] for each in own[:BASELINES] if each != name]
-                # Each of the first ones has another past, whose machine effort thorough would simulate for it alone.
-                asked = "standard" if name in own[:BASELINES] else effort
-                line = {"truth": truths[name], **_diagnose(name, files[name], first, catalogue, asked)}
-                with answers.open("a") as out:
-                    print(json.dumps(line), file=out)
+            # Each of the baselines has another past, whose machine effort thorough would simulate for it alone.
+            asked: Effort = "standard" if name in baselines else effort
+            if name in known:
+                _check(known[name], truths[name], asked, answers)
+                continue
+            past = [files[each] for each in baselines if each != name]
+            line = {"truth": truths[name], **_diagnose(name, files[name], past, catalogue, asked)}
+            with answers.open("a") as out:
+                out.write(json.dumps(line) + "\n")
+
+
+def _check(line: Line, truth: Mapping[str, Any], effort: Effort, answers: Path) -> None:
+    """Refuse an answer that is not what would be asked for."""
+    if line["truth"] != truth:
+        raise SystemExit(f"{answers}: {line['name']}: is of another recording of this name")
+    if line["answer"] and line["answer"]["effort"] != effort:
+        raise SystemExit(f"{answers}: {line['name']}: effort: {line['answer']['effort']}: must be {effort}, as asked")
 
 
 def _place(truth: Mapping[str, Any]) -> tuple[int, int]:
@@ -91,15 +121,15 @@ def _place(truth: Mapping[str, Any]) -> tuple[int, int]:
     return (truth["life"]["number"], truth["life"]["visit"]) if "life" in truth else (0, 0)
 
 
-def _diagnose(name: str, file: Path, first: list[Path], catalogue: Catalogue, effort: Effort) -> dict[str, Any]:
+def _diagnose(name: str, file: Path, past: Sequence[Path], catalogue: Catalogue, effort: Effort) -> dict[str, Any]:
     """One line but for its truth."""
     began = time.perf_counter()
     found: dict[str, Any]
     recording = read_recording(file)
-    baseline = [read_measurement(each) for each in first]
+    baseline = [read_measurement(each) for each in past]
     try:
         alone = diagnose(recording, catalogue)
-        answer = diagnose(recording, catalogue, effort=effort, baseline=baseline) if baseline else alone
+        answer = diagnose(recording, catalogue, effort=effort, baseline=baseline)
         found = {what: _brief(each) for what, each in (("answer", answer), ("alone", alone))}
     except CatalogueError as error:
         found = {"answer": None, "refusal": str(error)}
@@ -109,7 +139,7 @@ def _diagnose(name: str, file: Path, first: list[Path], catalogue: Catalogue, ef
 
 
 def _brief(answer: Diagnosis) -> Any:
-    """An answer as a line has it: what the state of wear hears of it, to six digits."""
+    """An answer as a line has it: without its evidence, suggestions and warnings, and to six digits."""
     bare = {"evidence": Evidence(orders=(), bands=()), "suggestions": (), "warnings": ()}
     text = answer.model_copy(update=bare).model_dump_json()
     return json.loads(text, parse_float=lambda digits: float(f"{float(digits):.6g}"))
@@ -149,22 +179,24 @@ def main() -> int:
     """Print the figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("answers", type=Path, help="file of answers, one a line")
-    parser.add_argument("--recordings", type=Path, help="folder whose recordings are diagnosed before")
+    parser.add_argument("--recordings", type=Path, help="folder; those that have no answer are diagnosed first")
     parser.add_argument("--catalogues", type=Path, help="folder with one catalogue a machine")
     parser.add_argument("--effort", choices=("fast", "standard", "thorough"), default="standard")
-    parser.add_argument("--only", default="", help="recordings with this in their name")
     given = parser.parse_args()
     if given.recordings:
-        if not given.catalogues:
-            parser.error("--recordings: needs --catalogues, too")
-        answer_all(given.recordings, given.catalogues, given.answers, given.only, given.effort)
+        if not given.catalogues or given.answers.suffix == ".gz":
+            parser.error("--recordings: needs --catalogues, and a file of answers that is not compressed")
+        answer_all(given.recordings, given.catalogues, given.answers, given.effort)
+    elif not given.answers.exists():
+        parser.error(f"answers: {given.answers}: no such file")
     judged = []
-    for name, lives in lives_of([line for line in read_lines(given.answers) if given.only in line["name"]]).items():
+    for name, lives in lives_of(read_lines(given.answers)).items():
         machine = Catalogue.open(given.catalogues / name).machine if given.catalogues else shipped_machine(name)
         judged += [judge_life(life, bounds_of(machine, machine.wearing_joints)) for life in lives]
-    if judged:
-        print(table(("figure", "seen", "95 %"), [each.shown() for each in figures_of_lives(judged)]))
-    return 0 if judged else 1
+    if not judged:
+        parser.error(f"answers: {given.answers}: no life in it")
+    print(table(("figure", "seen", "95 %"), [each.shown() for each in figures_of_lives(judged)]))
+    return 0
 
 
 if __name__ == "__main__":
