@@ -82,13 +82,16 @@ def answer_all(folder: Path, catalogues: Path, answers: Path, effort: Effort) ->
         The file has answers of other recordings of these names, or of another effort.
     """
     truths = {
-        name: truth for file in folder.rglob("truth.json") for name, truth in json.loads(file.read_text()).items()
+        name: truth
+        for file in folder.rglob("truth.json")
+        for name, truth in json.loads(file.read_text()).items()
+        if "life" in truth
     }
     answers.touch()
     known = {line["name"]: line for line in read_lines(answers)}
     lives: dict[tuple[str, int], list[str]] = defaultdict(list)
     for name, truth in sorted(truths.items(), key=lambda each: _place(each[1])):
-        if "life" in truth and (catalogues / truth["machine"]).is_dir():
+        if (catalogues / truth["machine"]).is_dir():
             lives[truth["machine"], truth["life"]["number"]].append(name)
     for (machine, _), own in lives.items():
         catalogue = Catalogue.open(catalogues / machine)
@@ -118,7 +121,7 @@ def _check(line: Line, truth: Mapping[str, Any], effort: Effort, answers: Path) 
 
 def _place(truth: Mapping[str, Any]) -> tuple[int, int]:
     """Life and visit."""
-    return (truth["life"]["number"], truth["life"]["visit"]) if "life" in truth else (0, 0)
+    return truth["life"]["number"], truth["life"]["visit"]
 
 
 def _diagnose(name: str, file: Path, past: Sequence[Path], catalogue: Catalogue, effort: Effort) -> dict[str, Any]:
