@@ -1,13 +1,13 @@
 """Lives of machines by the second simulator of the tests: what single answers and the state of wear say, and the truth.
 
     PYTHONPATH=tests python -m second_simulator --protocol lives --machine slider-crank --count 180 --out recordings
-    python -m benchmarks.lives answers.jsonl --recordings recordings --catalogues DIR [--effort thorough]
-    python -m benchmarks.lives tests/data/lives.jsonl.gz
+    python -m benchmarks.lives answers.jsonl --recordings recordings --catalogues DIR --effort thorough
+    python -m benchmarks.lives tests/data/lives.jsonl.gz [--alone thorough]
 
-Every recording is diagnosed by itself, and beside the first ones of its machine with that effort, the first ones beside
-each other with `standard`. Answers are kept in a file, one a line with what is true beside it, so that what was broken
-off goes on, and another state of wear is judged by the same answers in seconds. Figures are those of `jointplay
-evaluate --protocol lives`.
+Every recording is diagnosed by itself with the effort `--alone`, and beside the first ones of its machine with
+`--effort`, the first ones beside each other with `standard`. Answers are kept in a file, one a line with what is true
+beside it, so that what was broken off goes on, answers of a further effort are added, and another state of wear is
+judged by the same answers in seconds. Figures are those of `jointplay evaluate --protocol lives`.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import gzip
 import json
+import math
 import sys
 import time
 from collections import defaultdict
@@ -35,16 +36,20 @@ from jointplay.catalogue.matching.modes import Effort
 from jointplay.catalogue.measurements.measured_spectrum import read_recording
 from jointplay.catalogue.measurements.measurement import read_measurement
 from jointplay.catalogue.storage.store import Catalogue
+from jointplay.solver.errors import SolverError
 from jointplay.solver.machines.machine import shipped_machine
 
 UM = 1e-6
 
 Line = Mapping[str, Any]
-"""Name and checksum of a recording, its truth, and the answers to it or why there is none."""
+"""Name and checksum of a recording, its truth, and the answers to it or why there is none.
+
+`answer` is beside the first recordings; `alone` has those to the recording by itself, by their effort.
+"""
 
 
 def read_lines(answers: Path) -> list[Line]:
-    """Return the lines of a file of answers, compressed or not.
+    """Return the lines of a file of answers, compressed or not: of each recording the last.
 
     Raises
     ------
@@ -57,22 +62,26 @@ def read_lines(answers: Path) -> list[Line]:
     for line in lines:
         if "truth" not in line:
             raise SystemExit(f"{answers}: {line['name']}: no truth: must stand beside the answer; diagnose again")
-    return lines
+    return list({line["name"]: line for line in lines}.values())
 
 
-def lives_of(lines: Sequence[Line]) -> dict[str, list[Life]]:
-    """Return the lives of each machine, by its name."""
+def lives_of(lines: Sequence[Line], alone: Effort = "standard") -> dict[str, list[Life]]:
+    """Return the lives of each machine, by its name, that have single answers of that effort; tell what has none."""
     grouped: dict[tuple[str, int], list[Line]] = defaultdict(list)
     for line in sorted(lines, key=lambda each: _place(each["truth"])):
         grouped[line["truth"]["machine"], line["truth"]["life"]["number"]].append(line)
     lives: dict[str, list[Life]] = defaultdict(list)
     for (machine, number), own in grouped.items():
-        lives[machine].append(_life(f"{machine} {number}", own))
+        if lacking := [line["name"] for line in own if line["answer"] and alone not in line["alone"]]:
+            said = f"{lacking[0]} has no single answer of effort {alone}"
+            print(f"left out: {machine} {number}: {said}", file=sys.stderr)
+            continue
+        lives[machine].append(_life(f"{machine} {number}", own, alone))
     return lives
 
 
-def answer_all(folder: Path, catalogues: Path, answers: Path, effort: Effort) -> None:
-    """Diagnose recordings in a folder that have no answer yet and whose machine has a catalogue.
+def answer_all(folder: Path, catalogues: Path, answers: Path, effort: Effort, alone: Effort) -> None:
+    """Diagnose recordings in a folder that lack an answer and whose machine has a catalogue.
 
     A life counts as soon as the recordings that are its baseline are there.
 
@@ -102,21 +111,34 @@ def answer_all(folder: Path, catalogues: Path, answers: Path, effort: Effort) ->
         for name in own:
             # Each of the baselines has another past, whose machine effort thorough would simulate for it alone.
             asked: Effort = "standard" if name in baselines else effort
+            line = known.get(name, {"truth": truths[name], "name": name})
             if name in known:
-                _check(known[name], truths[name], asked, answers)
-                continue
+                _check(line, truths[name], asked, answers)
+                if line["answer"] is None or alone in line["alone"]:
+                    continue
             past = [files[each] for each in baselines if each != name]
-            line = {"truth": truths[name], **_diagnose(name, files[name], past, catalogue, asked)}
+            line = _diagnose(line, files[name], past, catalogue, asked, alone)
             with answers.open("a") as out:
                 out.write(json.dumps(line) + "\n")
 
 
 def _check(line: Line, truth: Mapping[str, Any], effort: Effort, answers: Path) -> None:
     """Refuse an answer that is not what would be asked for."""
-    if line["truth"] != truth:
+    if not _agree(line["truth"], truth):
         raise SystemExit(f"{answers}: {line['name']}: is of another recording of this name")
     if line["answer"] and line["answer"]["effort"] != effort:
         raise SystemExit(f"{answers}: {line['name']}: effort: {line['answer']['effort']}: must be {effort}, as asked")
+
+
+def _agree(one: Any, other: Any) -> bool:
+    """Whether values from JSON are the same but for how a processor rounds."""
+    if isinstance(one, dict) and isinstance(other, dict):
+        return one.keys() == other.keys() and all(_agree(one[key], other[key]) for key in one)
+    if isinstance(one, list) and isinstance(other, list):
+        return len(one) == len(other) and all(map(_agree, one, other))
+    if isinstance(one, float) and isinstance(other, float):
+        return math.isclose(one, other, rel_tol=1e-9)
+    return bool(one == other)
 
 
 def _place(truth: Mapping[str, Any]) -> tuple[int, int]:
@@ -124,21 +146,22 @@ def _place(truth: Mapping[str, Any]) -> tuple[int, int]:
     return truth["life"]["number"], truth["life"]["visit"]
 
 
-def _diagnose(name: str, file: Path, past: Sequence[Path], catalogue: Catalogue, effort: Effort) -> dict[str, Any]:
-    """One line but for its truth."""
+def _diagnose(
+    line: Line, file: Path, past: Sequence[Path], catalogue: Catalogue, effort: Effort, alone: Effort
+) -> dict[str, Any]:
+    """A line with the answers that it lacks."""
     began = time.perf_counter()
-    found: dict[str, Any]
     recording = read_recording(file)
-    baseline = [read_measurement(each) for each in past]
+    found = {"alone": {}, **line, "sha256": recording.sha256}
     try:
-        alone = diagnose(recording, catalogue)
-        answer = diagnose(recording, catalogue, effort=effort, baseline=baseline)
-        found = {what: _brief(each) for what, each in (("answer", answer), ("alone", alone))}
+        found["alone"] = {**found["alone"], alone: _brief(diagnose(recording, catalogue, effort=alone))}
+        if "answer" not in found:
+            baseline = [read_measurement(each) for each in past]
+            found["answer"] = _brief(diagnose(recording, catalogue, effort=effort, baseline=baseline))
     except CatalogueError as error:
-        found = {"answer": None, "refusal": str(error)}
-    seconds = round(time.perf_counter() - began, 3)
-    print(f"{name}: {seconds:.1f} s", file=sys.stderr, flush=True)
-    return {"name": name, "sha256": recording.sha256, "seconds": seconds, **found}
+        found |= {"answer": None, "refusal": str(error)}
+    print(f"{line['name']}: {time.perf_counter() - began:.1f} s", file=sys.stderr, flush=True)
+    return found
 
 
 def _brief(answer: Diagnosis) -> Any:
@@ -148,14 +171,13 @@ def _brief(answer: Diagnosis) -> Any:
     return json.loads(text, parse_float=lambda digits: float(f"{float(digits):.6g}"))
 
 
-def _life(name: str, lines: Sequence[Line]) -> Life:
+def _life(name: str, lines: Sequence[Line], effort: Effort) -> Life:
     """A life from the lines of its visits, in the order of time."""
     visits, inspections, repairs, mount = [], [], [], None
     for place, line in enumerate(lines):
         truth, life = line["truth"], line["truth"]["life"]
-        answer, alone = (
-            Diagnosis.model_validate(line[each]) if line["answer"] else None for each in ("answer", "alone")
-        )
+        told = (line["answer"], line["alone"][effort]) if line["answer"] else (None, None)
+        answer, alone = (Diagnosis.model_validate(each) if each else None for each in told)
         visits.append(
             LifeVisit(
                 at=datetime.fromisoformat(life["measured_at"]),
@@ -184,16 +206,18 @@ def main() -> int:
     parser.add_argument("answers", type=Path, help="file of answers, one a line")
     parser.add_argument("--recordings", type=Path, help="folder; those that have no answer are diagnosed first")
     parser.add_argument("--catalogues", type=Path, help="folder with one catalogue a machine")
-    parser.add_argument("--effort", choices=("fast", "standard", "thorough"), default="standard")
+    efforts = ("fast", "standard", "thorough")
+    parser.add_argument("--effort", choices=efforts, default="standard", help="of answers beside the first ones")
+    parser.add_argument("--alone", choices=efforts, default="standard", help="effort of answers to recordings alone")
     given = parser.parse_args()
     if given.recordings:
         if not given.catalogues or given.answers.suffix == ".gz":
             parser.error("--recordings: needs --catalogues, and a file of answers that is not compressed")
-        answer_all(given.recordings, given.catalogues, given.answers, given.effort)
+        answer_all(given.recordings, given.catalogues, given.answers, given.effort, given.alone)
     elif not given.answers.exists():
         parser.error(f"answers: {given.answers}: no such file")
     judged = []
-    for name, lives in lives_of(read_lines(given.answers)).items():
+    for name, lives in lives_of(read_lines(given.answers), given.alone).items():
         machine = Catalogue.open(given.catalogues / name).machine if given.catalogues else shipped_machine(name)
         judged += [judge_life(life, bounds_of(machine, machine.wearing_joints)) for life in lives]
     if not judged:
@@ -203,4 +227,7 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    try:
+        sys.exit(main())
+    except (CatalogueError, SolverError) as error:
+        sys.exit(f"error: {error}")

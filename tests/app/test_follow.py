@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 from command_line import assert_refused, invoke
 from recordings import RECORDINGS
 
 from jointplay.app.pages.wear_state import what_moved
+from jointplay.catalogue.diagnosing.answer import Diagnosis
+from jointplay.catalogue.diagnosing.diagnosis import diagnose
 from jointplay.catalogue.following.state import WearState
 
 FILES = [RECORDINGS / f"slider-crank-{number:02}.csv.gz" for number in (2, 5)]
@@ -37,6 +40,22 @@ def test_beside_recordings_of_the_machine_in_order(shelf: Path) -> None:
     assert course[0] == alone["joints"]["B"]["course"][0]
     assert course[1]["p_worn"] != alone["joints"]["B"]["course"][1]["p_worn"]
     assert beside["joints"]["B"]["p_worn"] > 0.9
+
+
+def test_a_baseline_among_the_measurements_has_no_machine_simulated_for_it(
+    shelf: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+
+    def note(*given: Any, effort: str, **options: Any) -> Diagnosis:
+        asked.append((len(options["baseline"]), effort))
+        return diagnose(*given, effort="fast", **options)
+
+    monkeypatch.setattr("jointplay.catalogue.diagnosing.diagnosis.diagnose", note)
+    in_order = RECORDINGS / "slider-crank-01.csv.gz"
+    said = ("--catalogue", shelf / "slider-crank", "--measured-at", "2026-01-01T10:00:00Z", *MOMENTS)
+    invoke("follow", in_order, *FILES, *said, "--baseline", in_order, "--effort", "thorough")
+    assert asked == [(0, "standard"), (1, "thorough"), (1, "thorough")]
 
 
 def test_speeds_that_are_given(shelf: Path) -> None:
