@@ -134,7 +134,7 @@ class Questions:
         if request.measurement is not None:
             return [self.store.measurement(request.measurement)]
         if request.speed not in (None, ""):
-            rule = "is for one measurement alone: with measurements, give speeds"
+            rule = "is for one measurement alone: with measurements, give speeds; in a window speeds are estimated"
             raise BadFieldError(f"speed: {request.speed}: {rule}", field="speed")
         in_order = () if asset is None else asset.in_order
         known = {self.store.measurement(key).sha256 for key in in_order}
@@ -152,13 +152,17 @@ class Questions:
             raise BadFieldError("since: needs an asset", field="asset")
         assert request.since is not None
         window = (request.since, request.until)
+        if request.until is not None and request.until <= request.since:
+            raise BadFieldError(f"until: {request.until.isoformat()}: must be after since", field="until")
         # What the others are compared with is no evidence of the present state.
         among = measurements_of(asset.external_id)
         rows = self.store.measurements_between(among, *window, MOST_TOGETHER + 1, without=known)
         if not 1 <= len(rows) <= MOST_TOGETHER:
             count = len(rows) if len(rows) <= MOST_TOGETHER else f"more than {MOST_TOGETHER}"
             raise BadFieldError(
-                f"since: {count} measurements of asset {asset.external_id}: must be 1 to {MOST_TOGETHER}", field="since"
+                f"since: {count} measurements of asset {asset.external_id} that are no baselines: must be 1 to "
+                f"{MOST_TOGETHER}",
+                field="since",
             )
         return rows
 

@@ -29,8 +29,9 @@ PROTOCOLS = (
     "other-cause, disturbed, sensor-flaws, drop-outs; lives (machines over thirty visits) by itself"
 )
 
-
 LIVES = "lives"
+SWEPT = ("draws", "accuracies", "workers")
+"""Options of `--sweep` alone."""
 
 
 @click.command("evaluate")
@@ -135,14 +136,15 @@ def command(
 ) -> None:
     """Measure diagnoses on freshly simulated recordings that the catalogue has not seen."""
     if card:
-        told = ("protocols", "noise", "count", "seed", "methods", "efforts", "modes", "sweep", "plot")
+        told = ("protocols", "noise", "count", "seed", "methods", "efforts", "modes", "sweep", "plot", *SWEPT)
         refuse_given(told, "means nothing with --card")
         _show_card(catalogue, as_json)
         return
     if LIVES in protocols:
         if len(protocols) > 1 or sweep:
             raise click.UsageError(f"--protocol: {LIVES}: stands by itself")
-        refuse_given(("noise", "methods", "efforts", "modes", "plot"), f"means nothing with --protocol {LIVES}")
+        rule = f"means nothing with --protocol {LIVES}, which asks with effort standard"
+        refuse_given(("noise", "methods", "efforts", "modes", "plot", *SWEPT), rule)
         _evaluate_lives(catalogue, count, seed, as_json)
         return
     if plot is not None:
@@ -150,7 +152,7 @@ def command(
 
         check_ending(plot)
     if not sweep:
-        refuse_given(("draws", "accuracies", "workers"), "means something with --sweep only")
+        refuse_given(SWEPT, "means something with --sweep only")
     elif len(protocols) > 1:
         raise click.UsageError(f"--protocol: {', '.join(protocols)}: --sweep takes one")
     from jointplay.catalogue.evaluation.protocols import protocols_of, with_noise

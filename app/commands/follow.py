@@ -19,9 +19,10 @@ from jointplay.app.commands.parameters import (
     json_option,
     speeds_option,
 )
+from jointplay.app.commands.progress import ProgressLine
 from jointplay.app.fields import PROFILE
 from jointplay.app.tables import indent, table
-from jointplay.app.words import in_utc, parse_moment
+from jointplay.app.words import in_utc, parse_moment, placed
 
 if TYPE_CHECKING:
     from jointplay.catalogue.following.state import WearState
@@ -91,17 +92,24 @@ def command(
         if recording.measured_at is None:
             raise click.BadParameter(f"{file}: says no time of measurement", param_hint="'--measured-at'")
     opened = Catalogue.open(existing_catalogue(catalogue))
+    for option, each in (("--found", found), ("--repaired", repaired)):
+        for joint, what in each:
+            if joint not in opened.matrix.joints:
+                rule = f"must be one of {', '.join(opened.matrix.joints)}"
+                raise click.BadParameter(f'"{joint}={what}": joint {joint}: {rule}', param_hint=f"'{option}'")
     sensors, in_order = each_once(mapping, "--map") or None, read_baselines(baselines, said, profile)
     visits = []
-    for place, recording in enumerate(recordings):
-        assert recording.measured_at is not None
-        past = [each for each in in_order if each.sha256 != recording.sha256]
-        # One of the baselines has another past, whose machine effort thorough would simulate for it alone.
-        asked = "standard" if effort == "thorough" and len(past) < len(in_order) else effort
-        answer = diagnose(
-            recording, opened, speed=speeds[place] if speeds else None, effort=asked, mapping=sensors, baseline=past
-        )
-        visits.append(Visit(recording.measured_at, recording.sha256, answer))
+    with ProgressLine("diagnosing", "recordings") as line:
+        for place, recording in enumerate(recordings):
+            line.show(place, len(recordings))
+            assert recording.measured_at is not None
+            past = [each for each in in_order if each.sha256 != recording.sha256]
+            # One of the baselines has another past, whose machine effort thorough would simulate for it alone.
+            asked = "standard" if effort == "thorough" and len(past) < len(in_order) else effort
+            speed = speeds[place] if speeds else None
+            answer = diagnose(recording, opened, speed=speed, effort=asked, mapping=sensors, baseline=past)
+            visits.append(Visit(recording.measured_at, recording.sha256, answer))
+        line.show(len(recordings), len(recordings))
     bounds = bounds_of(opened.machine, visits[0].answer.joints)
     state = follow(visits, inspections, bounds=bounds)
     if as_json:
@@ -135,7 +143,7 @@ def read_inspections(found: Sequence[tuple[str, str]], repaired: Sequence[tuple[
 def read_moment(text: str, said: str, option: str) -> datetime:
     """Return a moment with its zone; a refusal names the option."""
     try:
-        return in_utc(datetime.fromisoformat(str(parse_moment(text))))
+        return placed(in_utc(datetime.fromisoformat(str(parse_moment(text)))))
     except ValueError as error:
         raise click.BadParameter(f'"{said}": the time {error}', param_hint=f"'{option}'") from None
 
@@ -151,5 +159,5 @@ def report(state: WearState) -> str:
         for row in shown["joints"]
     ]  # fmt: skip
     head = ("joint", "worn", "radial clearance (90 % interval)", "grows by", "limit", "reached (90 %)", "sure since")
-    said = f"By {state.visits} recordings, the last of {shown['at']} UTC:"
+    said = f"By {state.visits} recording{'s' * (state.visits > 1)}, up to {shown['at']} UTC:"
     return "\n".join([said, indent(table(head, rows)), shown["moved"], *shown["besides"]])

@@ -113,7 +113,9 @@ class StandingKeeper:
         self._failures.pop(due.external_id, None)
         joints = {name: JointKnown.of(each) for name, each in state.joints.items()}
         worn = {name for name, found in last.answer.joints.items() if found.condition == "worn"}
-        since = {repair.joint for repair in state.repairs if at is not None and repair.at > at}
+        # What is told of the moment of a recording was mended after it.
+        mended = [repair for repair in state.repairs if at and (repair.at > at or (repair.at == at and repair.is_told))]
+        since = {repair.joint for repair in mended}
         repaired = last.answer.verdict == "worn" and bool(worn) and worn <= since
         return told.model_copy(update={"joints": joints, "causes": state.causes, "repaired": repaired})
 

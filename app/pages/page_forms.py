@@ -269,9 +269,12 @@ def moment_of(text: str) -> str:
 
 
 def messages_of(problem: Problem, fields: Sequence[str]) -> dict[str, str]:
-    """Return the messages of a problem by field of a form; what is wrong with a recording is about the recording."""
+    """Return the messages of a problem by field of a form; what is wrong with a recording is about the recording.
+
+    There are none of what no field of the form is about.
+    """
     parts = [entry["field"].partition(".")[0] for entry in problem.errors]
     named = [part for part in parts if part in fields]
     about_file = problem.type.rpartition(":")[2] in ("measurement", "too-large", "diagnosis")
-    recording = "file" if "file" in fields else "measurement"
-    return dict.fromkeys(named or ([recording] if about_file else []), problem.detail)
+    recording = [name for name in ("file", "measurement", "measurements") if name in fields][:1]
+    return dict.fromkeys(named or (recording if about_file else []), problem.detail)

@@ -59,11 +59,7 @@ def what_besides(state: WearState) -> list[str]:
             since = f", since {day(cause.since)}" if cause.since else ""
             told.append(f"Besides: {name}, {cause.size:.3g} {cause.unit}{moves}, {percent(cause.probability)}{since}.")
     for repair in state.repairs:
-        at = (
-            f"by {day(repair.at)}, {percent(repair.probability)}"
-            if repair.probability < 1.0
-            else f"on {day(repair.at)}"
-        )
+        at = f"by {day(repair.at)}, {percent(repair.probability)}" if not repair.is_told else f"on {day(repair.at)}"
         told.append(f"Joint {repair.joint} was repaired {at}.")
     return told
 

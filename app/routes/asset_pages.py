@@ -42,7 +42,9 @@ router = APIRouter(prefix="/assets")
 LIMIT, BASELINE, WITH = "limit-", "baseline-", "with-"
 DAYS = ("silent_after_days", "warn_within_days")
 TOGETHER = ("measurements", "catalogue", "effort")
-FIELDS = ("external_id", "machine", "notes", "baselines", *TOGETHER, "limits_um", *DAYS, "state", "note")
+LISTED = ("external_id", "machine", "notes")
+FIELDS = ("notes", "baselines", "measurements", "catalogue", "limits_um", *DAYS)
+"""What has a place for messages on the page with the list, and on that of an asset."""
 SHOWN = 200
 
 
@@ -210,7 +212,7 @@ async def show_list(
         "may_match": may_match(request),
         "title": "Assets: jointplay",
     }
-    return await answer_page(request, "assets.html", members, problem)
+    return await answer_page(request, "assets.html", members, problem, LISTED)
 
 
 async def show_asset(

@@ -235,7 +235,7 @@ class DiagnosisRequest(Shape):
     ]
     since: Annotated[
         Moment | None,
-        Field(default=None, description="In place of measurements: all of `asset` measured from this moment on."),
+        Field(default=None, description="In place of measurements: all of `asset` but its baselines from then on."),
     ]
     until: Annotated[Moment | None, Field(default=None, description="With `since`: those measured before this moment.")]
     catalogue: Annotated[str, Field(min_length=1, max_length=255, description="Id or name of a catalogue.")]

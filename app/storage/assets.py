@@ -62,7 +62,7 @@ class Assets:
         Raises
         ------
         BadFieldError
-            With `only_new`, when there is one of this id.
+            With `only_new`, when there is one of this id; when it has diagnoses of another machine.
         """
         moment, in_order = now(), wanted.in_order
         asked = {**wanted.model_dump(exclude={"baselines"}), "baseline": in_order[0] if in_order else None}
@@ -79,6 +79,9 @@ class Assets:
                 said = f"external_id: {external_id}: there is an asset of this id already"
                 raise BadFieldError(said, field="external_id")
             row = one_locked(session, external_id)
+            if row.machine != wanted.machine and session.scalar(diagnoses_of(external_id).limit(1)):
+                said = f"machine: {wanted.machine[:80]}: asset {external_id} has diagnoses of a {row.machine}"
+                raise BadFieldError(f"{said}: must stay; another machine is another asset", field="machine")
             before = None if new else about_asset(row)
             if row.in_order != in_order or any(getattr(row, name) != value for name, value in asked.items()):
                 for name, value in asked.items():
@@ -199,8 +202,9 @@ class Assets:
         for measurement in measurements:
             self.own_in(session, external_id, measurement)
         row = {"asset": external_id, "diagnosis": diagnosis}
-        session.execute(self._database.insert(AssetDiagnosisRow).values(row).on_conflict_do_nothing())
-        touch(session, AssetRow.external_id == external_id)
+        insert = self._database.insert(AssetDiagnosisRow).values(row).on_conflict_do_nothing()
+        if session.execute(insert.returning(AssetDiagnosisRow.asset)).first() is not None:
+            touch(session, AssetRow.external_id == external_id)
 
     def add_finding(self, row: DiagnosisRow, found: FindingIn) -> FindingRow:
         """Store a finding and return it: the same finding twice is one.

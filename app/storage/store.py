@@ -285,8 +285,8 @@ class Store:
         if new:
             kept.answer = diagnosis.result  # not read again from what was just made of it
             audit.note(session, "made", "diagnosis", kept.id, after=about_diagnosis(kept))
-            if diagnosis.also is not None:
-                diagnosis.also(session, kept.id)
+        if diagnosis.also is not None:  # its asset may be another one of that name since
+            diagnosis.also(session, kept.id)
         return kept
 
     def diagnosis(self, key: str) -> DiagnosisRow:

@@ -28,7 +28,7 @@ from jointplay.solver.machines.machine import Machine
 #: Steps of a fit at most, from each of the best starts.
 MOST_STEPS = 8
 #: P-value below which a healthy machine does not explain the recording, whatever its numbers. The p-value is cautious,
-#: as it allows for errors of a model that simulations do not have: recordings of machines in order had 0.74 and more.
+#: as it allows for errors of a model that simulations do not have: recordings of machines in order had 0.86 and more.
 UNEXPLAINED = 0.1
 #: Factor on a number of the machine file, or a gain, that is said.
 NOTEWORTHY = 0.15

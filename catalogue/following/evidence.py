@@ -13,11 +13,14 @@ from jointplay.catalogue.following.play import AXIS, STEP, JointBounds
 from jointplay.catalogue.matching.modes import UNKNOWN_BELOW
 from jointplay.catalogue.matching.prior import Prior
 from jointplay.catalogue.matching.together import LEAST_DENSITY
-from jointplay.solver.arrays import FloatArray
+from jointplay.solver.arrays import BoolArray, FloatArray
 
 SLIP, DOUBTED = 0.03, 0.1
 """Share of recordings that say nothing of wear, whatever they look like; and of those that the machine as filed, worn
 or not, does not explain."""
+
+ACQUITTED = 0.5
+"""Odds of wear by a recording, against those of before, below which it speaks against wear. Chosen, not measured."""
 
 HALF_90 = 1.6449
 """Half width of a 90 % interval in standard deviations."""
@@ -39,6 +42,8 @@ class Evidence:
     tells : ndarray, shape (J,)
         How surely it tells of any joint whether it is worn, 0 where that is as likely as before and 1 where it is sure;
         and 0 of joints that it cannot speak of.
+    acquits : ndarray of bool, shape (J,)
+        Joints that it speaks against, as far as to call them mended where wear was sure.
     slip : float
         Probability that all of it says nothing.
     """
@@ -46,6 +51,7 @@ class Evidence:
     weights: FloatArray
     densities: FloatArray
     tells: FloatArray
+    acquits: BoolArray
     slip: float
 
 
@@ -76,15 +82,21 @@ def read_answer(answer: Answer, bounds: Mapping[str, JointBounds]) -> Evidence:
     odd = answer.verdict == "unknown" or (answer.verdict == "changed" and not heard)
     doubted = odd or answer.goodness_of_fit.p_value < UNKNOWN_BELOW
     tells = spoken * (1.0 - np.minimum(odds, 1.0 / odds).min(initial=1.0))
-    return Evidence(found / before, densities, tells, 1.0 if answer.sensors else DOUBTED if doubted else SLIP)
+    acquits = np.zeros(len(bounds), bool)
+    acquits[spoken] = odds < ACQUITTED
+    slip = 1.0 if answer.sensors else DOUBTED if doubted else SLIP
+    return Evidence(found / before, densities, tells, acquits, slip)
 
 
 def _density(found: JointClearance | None, bounds: JointBounds) -> FloatArray:
-    """Likelihood (X,) of the clearance of a joint, worn or not, against those that are log-uniform beforehand."""
+    """Likelihood (X,) of the clearance of a joint, worn or not, against those that are log-uniform beforehand.
+
+    What is told of wear below the least that counts as such, or beyond the grid, is that of its end.
+    """
     if found is None:
         return np.asarray(~bounds.worn, np.float64)
     low, middle, high = np.log(1e-6 * np.array([found.interval_um[0], found.clearance_um, found.interval_um[1]]))
-    beyond = np.clip(middle, AXIS[0], AXIS[-1]) - middle
+    beyond = np.clip(middle, AXIS[bounds.worn][0], AXIS[-1]) - middle
     low, middle, high = low + beyond, middle + beyond, high + beyond
     width = np.where(middle > AXIS, middle - low, high - middle) / HALF_90
     law = bounds.worn * np.exp(-0.5 * ((AXIS - middle) / np.maximum(width, STEP)) ** 2)
@@ -93,8 +105,12 @@ def _density(found: JointClearance | None, bounds: JointBounds) -> FloatArray:
 
 
 def read_measured(clearance: float) -> FloatArray:
-    """Return the likelihood (X,) of a joint's clearance where somebody has measured so much, m."""
+    """Return the likelihood (X,) of a joint's clearance where somebody has measured so much, m.
+
+    What is beyond the grid is that of its end.
+    """
     part, size = MEASURED
+    clearance = min(clearance, math.exp(AXIS[-1]))
     scatter = math.hypot(part * clearance, size)
     return np.asarray(np.maximum(np.exp(-0.5 * ((np.exp(AXIS) - clearance) / scatter) ** 2), 1e-6))
 

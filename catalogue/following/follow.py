@@ -14,14 +14,7 @@ from jointplay.catalogue.diagnosing.answer import Answer
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.following.causes import follow_causes
 from jointplay.catalogue.following.evidence import Evidence, read_answer, read_measured, weigh
-from jointplay.catalogue.following.play import (
-    REPAIRS,
-    YEAR,
-    JointBounds,
-    let_pass,
-    quantiles,
-    reach,
-)
+from jointplay.catalogue.following.play import YEAR, JointBounds, let_pass, quantiles, reach
 from jointplay.catalogue.following.state import CoursePoint, JointFollowed, Repair, WearState
 from jointplay.catalogue.following.teaching import Correction
 from jointplay.catalogue.following.visits import Inspection, Visit, put_in_order
@@ -68,7 +61,8 @@ def follow(
     Raises
     ------
     DiagnosisError
-        There is no recording, a time has no zone, or something is said of a joint that is not known.
+        There is no recording, or no joint that may wear; a time has no zone; or something is said of a joint that is
+        not known.
     """
     _check(visits, inspections, list(bounds))
     taught = correction or Correction()
@@ -86,13 +80,15 @@ def follow(
         visits=len(heard),
         joints=following.tell(),
         causes=follow_causes([(visit.at, visit.answer) for visit in heard]),
-        repairs=tuple(following.repairs),
+        repairs=tuple(sorted(following.repairs, key=lambda repair: repair.at)),
     )
 
 
 def _check(visits: Sequence[Visit], inspections: Sequence[Inspection], names: Sequence[str]) -> None:
     if not visits:
         raise DiagnosisError("visits: none: a state of wear needs at least one recording")
+    if not names:
+        raise DiagnosisError("joints: none: a state of wear needs at least one that may wear")
     for visit in visits:
         for joint in visit.answer.joints:
             if joint not in names:
@@ -171,12 +167,11 @@ class _Following:
     def pass_until(self, at: datetime) -> None:
         """Let joints wear until a moment, and some have been mended without a word."""
         passed = (at - self.at).total_seconds() if self.at else 0.0
-        share = -math.expm1(-REPAIRS * passed)
-        mended = share * np.array([joint.bounds.as_new() for joint in self.joints.values()])
+        mended = np.array([joint.bounds.as_new() for joint in self.joints.values()])
         found = [joint.found for joint in self.joints.values()]
-        self.belief, self.at = (1.0 - share) * let_pass(self.belief, passed) + mended, at
+        self.belief, self.at = let_pass(self.belief, passed, mended), at
         if any(found):
-            self.unheard[found] = (1.0 - share) * let_pass(self.unheard[found], passed) + mended[found]
+            self.unheard[found] = let_pass(self.unheard[found], passed, mended[found])
 
     def inspect(self, found: Inspection) -> None:
         """Hear what somebody has measured, and mended."""
@@ -198,7 +193,8 @@ class _Following:
         """Hear an answer to a recording of now."""
         assert self.at is not None
         without = _marginal(self.belief)
-        self.belief *= (self._beside(without, read_answer(answer, self.bounds)) / np.maximum(without, 1e-300))[:, None]
+        said = read_answer(answer, self.bounds)
+        self.belief *= (self._beside(without, said) / np.maximum(without, 1e-300))[:, None]
         self.belief /= self.belief.sum(axis=(1, 2), keepdims=True)
         marginal = _marginal(self.belief)
         for j, (name, joint) in enumerate(self.joints.items()):
@@ -216,7 +212,7 @@ class _Following:
             )
             if p_worn >= SURE:
                 joint.sure_since = joint.sure_since or self.at
-            elif p_worn < UNWORN:
+            elif p_worn < UNWORN and said.acquits[j]:  # what is only forgotten was not mended
                 if joint.sure_since:
                     self.repairs.append(Repair(at=joint.when_mended(), joint=name, probability=1.0 - p_worn))
                 joint.sure_since = None

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.signal import lfilter
@@ -34,6 +35,9 @@ RESTING, ANY = 0.5, 0.05
 """Share of joints that do not wear for now; and of rates of which nothing is known, as on a test rig."""
 
 YEAR = 365.25 * 86400.0
+
+MONTH = YEAR / 12.0
+"""The longest step of time, s."""
 
 CHANGES = 1.0 / YEAR
 """How often a joint begins to wear at another rate, 1/s."""
@@ -77,8 +81,12 @@ LIKELY_RATES: FloatArray = _likely_rates(RATES)
 _NEXT = math.exp(-STEP / JUMP)
 """Part of the jumps that go on from a clearance to the next."""
 
-_MOMENTS: FloatArray = np.concatenate([[0.0], np.geomspace(3600.0, NEVER, 60)])
-"""Times, s, at which it is looked at what joints have become: a quarter apart."""
+_MOMENTS: FloatArray = np.concatenate(
+    [[0.0], np.geomspace(3600.0, MONTH, 20)[:-1], MONTH * np.arange(1, 10), np.geomspace(10 * MONTH, NEVER, 52)]
+)
+"""Times, s, at which it is looked at what joints have become: a month apart at the most, from ten on a tenth."""
+
+_MOMENTS_APART: list[float] = np.diff(_MOMENTS).tolist()
 
 
 @dataclass(frozen=True)
@@ -138,15 +146,32 @@ def bounds_of(machine: Machine, joints: Iterable[str]) -> dict[str, JointBounds]
     return found
 
 
-def let_pass(belief: FloatArray, seconds: float) -> FloatArray:
-    """Return what is believed of joints (..., S, X) some time later, if nobody mends them.
+def let_pass(belief: FloatArray, seconds: float, mended: FloatArray | None = None) -> FloatArray:
+    """Return what is believed of joints (..., S, X) some time later.
 
-    Each grows at its rate; some begin to grow at another one, and some jump. What would grow beyond the grid stays at
-    its end.
+    Each grows at its rate; some begin to grow at another one, some jump, and some are made as new. What would grow
+    beyond the grid stays at its end. In steps of a month at most, so that what changes goes on from when it did, and
+    two times one after the other are as the whole.
+
+    Parameters
+    ----------
+    belief : ndarray, shape (..., S, X)
+    seconds : float
+    mended : ndarray, shape (..., S, X), optional
+        Joints as new, of which there are more with time. Nobody mends any unless given.
     """
-    if seconds <= 0.0:
-        return belief
-    change = 1.0 - math.exp(-CHANGES * seconds)
+    steps = max(0, math.ceil(seconds / MONTH))
+    for _ in range(steps):
+        belief = _step(belief, seconds / steps)
+        if mended is not None:
+            share = -math.expm1(-REPAIRS * seconds / steps)
+            belief = (1.0 - share) * belief + share * mended
+    return belief
+
+
+def _step(belief: FloatArray, seconds: float) -> FloatArray:
+    """Let time pass at once: rates change at its beginning, and joints jump."""
+    change = -math.expm1(-CHANGES * seconds)
     mixed = (1.0 - change) * belief + change * LIKELY_RATES[:, None] * belief.sum(axis=-2, keepdims=True)
     # In so many parts that there are few jumps in one; after it a joint may wear at any rate.
     parts = max(1, math.ceil(2.0 * JUMPS * seconds))
@@ -156,16 +181,23 @@ def let_pass(belief: FloatArray, seconds: float) -> FloatArray:
         after = lfilter([1.0 - _NEXT], [1.0, -_NEXT], before, axis=-1)
         after[..., -1] += before.sum(axis=-1) - after.sum(axis=-1)
         mixed = (1.0 - jumping) * mixed + LIKELY_RATES[:, None] * after
+    move = _movement(seconds)
+    return np.ascontiguousarray(mixed.reshape(-1, move.shape[0]) @ move).reshape(mixed.shape)
+
+
+@lru_cache(maxsize=256)
+def _movement(seconds: float) -> csr_array:
+    """Where joints of every rate and clearance (S X, S X) are after some time, at the same rate."""
     size, places = len(AXIS), np.arange(len(AXIS))
     reached = np.log(np.exp(AXIS) + RATES[:, None] * seconds)
     place = np.clip((reached - AXIS[0]) / STEP, places, size - 1.0)  # never back by a rounding
     cell = np.minimum(place.astype(np.int64), size - 2)
     part = place - cell
-    # Of every rate and clearance (S X): the two next to where it is then, at the same rate.
+    # The two next to where it is then.
     there = cell + size * np.arange(len(RATES))[:, None]
     share, column = np.stack([1.0 - part, part], axis=-1), np.stack([there, there + 1], axis=-1)
-    move = csr_array((share.ravel(), column.ravel(), np.arange(0, share.size + 1, 2)), shape=(there.size, there.size))
-    return np.ascontiguousarray(mixed.reshape(-1, there.size) @ move).reshape(mixed.shape)
+    rows = np.arange(0, share.size + 1, 2)
+    return csr_array((share.ravel(), column.ravel(), rows), shape=(there.size, there.size))
 
 
 def quantiles(marginal: FloatArray, shares: FloatArray, blur: float = 0.0) -> FloatArray:
@@ -199,8 +231,8 @@ def reach(belief: FloatArray, limits: FloatArray, alike: float, shares: FloatArr
     """
     over = ndtr((AXIS - np.log(limits)[:, None]) / alike)
     reached = [np.sum(belief.sum(axis=-2) * over, axis=-1)]
-    for seconds in np.diff(_MOMENTS).tolist():
-        belief = let_pass(belief, seconds)
+    for seconds in _MOMENTS_APART:
+        belief = _step(belief, seconds)
         reached.append(np.sum(belief.sum(axis=-2) * over, axis=-1))
     course = np.maximum.accumulate(np.array(reached))  # never back by a rounding
     times = [np.interp(shares, each, _MOMENTS, right=math.inf) for each in course.T]

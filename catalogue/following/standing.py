@@ -208,7 +208,8 @@ def _judge_verdict(known: Known) -> Reason | None:
     if known.repaired:
         return None
     if known.verdict == "worn" and not any(joint.p_worn >= LIKELY for joint in known.joints.values()):
-        text = "Its last recording says that a joint is worn; all recordings together do not say so yet."
+        together = "" if known.failure else "; all recordings together do not say so yet"
+        text = f"Its last recording says that a joint is worn{together}."
         return Reason(about=VERDICT, state="watch", text=text)
     if known.verdict == "unknown":
         return Reason(about=VERDICT, state="unknown", text="Its last recording has no verdict.")

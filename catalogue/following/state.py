@@ -51,7 +51,7 @@ class JointFollowed(Frozen):
     limit_at : (datetime or None, datetime or None, datetime or None)
         When it has reached that with probabilities of 0.05, 0.5 and 0.95, if not mended; None: not within a century.
     first_sure_at : datetime or None
-        First recording from which on wear was sure, since the last repair.
+        First recording by which wear was sure, since it was last repaired, or no longer likelier than not.
     moved_by : float
         By how much the last recording has changed `p_worn`.
     course : tuple of CoursePoint
@@ -112,6 +112,11 @@ class Repair(Frozen):
     at: datetime
     joint: str
     probability: Share
+
+    @property
+    def is_told(self) -> bool:
+        """Whether an inspection says so."""
+        return self.probability == 1.0
 
 
 class WearState(Frozen):

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from datetime import datetime
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 
 from jointplay.catalogue.diagnosing.answer import Answer
 from jointplay.catalogue.errors import DiagnosisError
@@ -63,8 +63,9 @@ Event = Visit | Inspection
 def put_in_order(visits: Sequence[Visit], inspections: Sequence[Inspection]) -> list[Event]:
     """Return what happened in the order in which it did, each recording and each inspection once.
 
-    Of several answers to one recording the last of the sequence counts, and the order of the sequence does not matter
-    otherwise: what comes late, or twice, leaves the same life.
+    Of several answers to one recording the last of the sequence counts, at the earliest of their times, and the order
+    of the sequence does not matter otherwise: what comes late, or twice, leaves the same life. Of what is found at one
+    moment, what was mended comes last.
 
     Raises
     ------
@@ -74,11 +75,21 @@ def put_in_order(visits: Sequence[Visit], inspections: Sequence[Inspection]) -> 
     for at in [visit.at for visit in visits] + [found.at for found in inspections]:
         if at.tzinfo is None:
             raise DiagnosisError(f"at: {at.isoformat()}: must have a time zone")
-    once = {visit.sha256: visit for visit in visits}
+    once: dict[str, Visit] = {}
+    for visit in visits:
+        earliest = min(visit.at, once.get(visit.sha256, visit).at, key=_utc)
+        once[visit.sha256] = replace(visit, at=earliest)
     known = {
         (found.at, found.key, *sorted(found.joints.items()), *sorted(found.repaired)): found for found in inspections
     }
     # A recording of the moment of an inspection is of the machine as it was found.
-    events: list[tuple[datetime, int, str, Event]] = [(visit.at, 0, visit.sha256, visit) for visit in once.values()]
-    events += [(found.at, 1, repr(key), found) for key, found in known.items()]
+    events: list[tuple[datetime, int, str, Event]] = [
+        (_utc(visit.at), 0, visit.sha256, visit) for visit in once.values()
+    ]
+    events += [(_utc(found.at), 2 if found.repaired else 1, repr(key), found) for key, found in known.items()]
     return [event for _, _, _, event in sorted(events, key=lambda item: item[:3])]
+
+
+def _utc(at: datetime) -> datetime:
+    """The same moment: times of one zone are compared by their clocks, which stand twice at some when summer ends."""
+    return at.astimezone(UTC)

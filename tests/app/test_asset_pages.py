@@ -8,6 +8,7 @@ import re
 from datetime import UTC, datetime
 from pathlib import Path
 from shutil import copytree
+from urllib.parse import parse_qsl
 
 import httpx
 import pytest
@@ -257,3 +258,38 @@ def test_recordings_of_an_asset_have_one_answer(client: httpx.Client, worn: byte
         assert refused.status_code == 422
         assert said in error_of(refused.text, "measurements")
         assert re.search(rf'name="baseline-{keys[0]}" type="checkbox" value="yes" checked', refused.text), "it stays"
+
+
+@pytest.mark.parametrize(
+    ("method", "address", "text"),
+    [
+        ("GET", "/assets?state=rusty", "state: Input should be"),
+        ("POST", "/assets/page-above/acknowledgement?state=rusty", "state: Input should be"),
+        ("GET", "/assets/page-above/state", "none of its recordings was diagnosed"),
+    ],
+)
+def test_what_no_field_of_a_page_is_about_is_told_above(
+    client: httpx.Client, method: str, address: str, text: str
+) -> None:
+    noted(client, "page-above")
+    address, _, query = address.partition("?") if method == "POST" else (address, "", "")
+    refused = client.request(method, address, data=dict(parse_qsl(query)))
+    assert refused.status_code in (404, 422)
+    said = re.search(r'<p class="detail">([^<]*)</p>', refused.text)
+    assert said is not None and text in said[1]
+
+
+def test_recordings_that_cannot_be_diagnosed_together_are_told_beside_their_ticks(
+    client: httpx.Client, worn: bytes
+) -> None:
+    noted(client, "page-unmapped")
+    keys = []
+    for name in (b"p", b"q"):
+        table = worn.replace(b"s1-", name).replace(b"s2-", 2 * name)
+        sent = client.post(f"{API}/measurements", files={"file": ("unmapped.csv", table)})
+        keys.append(sent.json()["id"])
+        client.put(f"{API}/assets/page-unmapped/measurements/{keys[-1]}")
+    asked = {f"with-{key}": "yes" for key in keys} | {"catalogue": "slider-crank", "effort": "fast"}
+    refused = client.post("/assets/page-unmapped/together", data=asked)
+    assert refused.status_code == 422
+    assert "sensor" in error_of(refused.text, "measurements")

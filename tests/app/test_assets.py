@@ -180,6 +180,19 @@ def test_an_asset_of_another_machine_is_refused(client: httpx.Client, worn_id: s
     assert ask(client, worn_id, asset="none").status_code == 404
 
 
+def test_an_asset_that_was_diagnosed_stays_the_machine_that_it_is(client: httpx.Client, worn_id: str) -> None:
+    client.put(f"{API}/assets/crank-9", json={"machine": "four-bar"})
+    assert client.put(f"{API}/assets/crank-9", json={"machine": "slider-crank"}).status_code == 200
+    assert ask(client, worn_id, asset="crank-9").status_code == 201
+    refused = client.put(f"{API}/assets/crank-9", json={"machine": "four-bar"})
+    assert refused.status_code == 422
+    said = (
+        "machine: four-bar: asset crank-9 has diagnoses of a slider-crank: must stay; another machine is another asset"
+    )
+    assert refused.json()["detail"] == said
+    assert client.get(f"{API}/assets/crank-9").json()["machine"] == "slider-crank"
+
+
 def test_the_diagnoses_since_a_moment(client: httpx.Client, diagnosis: dict[str, Any]) -> None:
     made = datetime.fromisoformat(diagnosis["created_at"])
     assert diagnosis["id"] in ids(client, "diagnoses", since=made.isoformat())

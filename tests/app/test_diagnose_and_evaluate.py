@@ -186,6 +186,7 @@ def test_many_files_have_a_table_of_answers(
     [
         (("--out", "table.xls"), "'--out': table.xls: must end in .csv or .json"),
         (("--out", "missing/table.csv"), "there is no folder missing"),
+        (("again.csv", "--out", "again.csv"), "'--out': again.csv: is one of the measurements"),
         (("--out", "table.csv", "--plot", "x.png"), "--plot: is of one answer"),
         (("--out", "table.csv", "--speed", "600 rpm", "--speed", "610 rpm"), "2 for 1 measurements"),
     ],
@@ -263,6 +264,7 @@ def test_evaluate_prints_figures_of_lives(shelf: Path, monkeypatch: pytest.Monke
     [
         (("--protocol", "lives,hard"), "--protocol: lives: stands by itself"),
         (("--protocol", "lives", "--modes", "robust"), "--modes: means nothing with --protocol lives"),
+        (("--protocol", "lives", "--draws", "48"), "--draws: means nothing with --protocol lives"),
     ],
 )
 def test_lives_stand_by_themselves(more: tuple[str, ...], text: str, shelf: Path) -> None:

@@ -78,7 +78,7 @@ def test_in_words_with_what_was_found_and_mended(shelf: Path) -> None:
     asked = ("--catalogue", shelf / "slider-crank", "--effort", "fast", *MOMENTS)
     told = ("--found", "B=150um@2026-06-04T06:00:00Z", "--repaired", "B=2026-06-05T06:00:00Z")
     worn = invoke("follow", *FILES, *asked).stdout
-    assert worn.startswith("By 2 recordings, the last of 2026-06-03 08:00 UTC:")
+    assert worn.startswith("By 2 recordings, up to 2026-06-03 08:00 UTC:")
     assert "µm a year" in worn
     assert re.search(r"The last recording has moved the probability of wear of .*B from \d+ % to > 99 %", worn)
     mended = invoke("follow", *FILES, *asked, *told).stdout
@@ -93,7 +93,10 @@ def test_in_words_with_what_was_found_and_mended(shelf: Path) -> None:
         (MOMENTS[:2], "'--measured-at': 1 for 2 measurements: must be one for each, or none"),
         ((*MOMENTS, "--found", "B=150@2026-06-04T06:00:00Z"), "'--found': \"B=150@2026-06-04T06:00:00Z\""),
         ((*MOMENTS, "--found", "B=150um"), "the time must be a moment with a time zone"),
-        ((*MOMENTS, "--repaired", "Q=2026-06-05T06:00:00Z"), "inspection: joints.Q: must be one of"),
+        (
+            (*MOMENTS, "--repaired", "Q=2026-06-05T06:00:00Z"),
+            "'--repaired': \"Q=2026-06-05T06:00:00Z\": joint Q: must be one of O, A, B",
+        ),
     ],
 )
 def test_refusals(told: tuple[str, ...], text: str, shelf: Path) -> None:

@@ -85,7 +85,7 @@ def test_all_of_an_asset_in_a_window(client: httpx.Client, two: list[str]) -> No
     listed = client.get(f"{API}/diagnoses", params={"asset": asset}).json()["items"]
     assert [item["id"] for item in listed] == [answer.json()["id"]]
     early = {**body, "until": began.isoformat()}
-    assert_problem(client.post(f"{API}/diagnoses", json=early), 422)
+    assert_problem(client.post(f"{API}/diagnoses", json=early), 422, "must be after since")
 
 
 def test_the_baseline_is_no_evidence(client: httpx.Client, two: list[str]) -> None:

@@ -73,6 +73,19 @@ def test_a_repair_that_somebody_reports_counts(client: httpx.Client) -> None:
     assert_problem(client.post(f"{API}/diagnoses/{answer['id']}/finding", json=late), 422)
 
 
+def test_findings_of_a_deleted_asset_are_not_of_another_of_its_name(client: httpx.Client) -> None:
+    asset, moment = "crank-deleted", datetime.now(UTC) + timedelta(hours=2)
+    found = {"joints": {"A": {"clearance_um": 300}}, "at": moment.isoformat()}
+    client.put(f"{API}/assets/{asset}", json={"machine": "slider-crank"}).raise_for_status()
+    answer = diagnose(client, 2, asset)
+    client.post(f"{API}/diagnoses/{answer['id']}/finding", json=found).raise_for_status()
+    told = state_of(client, asset)["joints"]["A"]["clearance_um"]
+    client.delete(f"{API}/assets/{asset}").raise_for_status()
+    client.put(f"{API}/assets/{asset}", json={"machine": "slider-crank"}).raise_for_status()
+    diagnose(client, 2, asset)
+    assert told > 250 > state_of(client, asset)["joints"]["A"]["clearance_um"]
+
+
 def test_recordings_that_have_several_answers_together_count_in_the_newest(client: httpx.Client) -> None:
     asset = "crank-heard-together"
     client.put(f"{API}/assets/{asset}", json={"machine": "slider-crank"}).raise_for_status()
