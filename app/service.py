@@ -33,7 +33,6 @@ from jointplay.app.shelves import built_in
 from jointplay.app.shelves.catalogues import CatalogueShelf, stamp_of
 from jointplay.app.shelves.entries import EntryShelf
 from jointplay.app.storage import webhooks
-from jointplay.app.storage.asset_rows import AssetRow
 from jointplay.app.storage.assets import Assets, touch_owners
 from jointplay.app.storage.build_queue import BuildQueue
 from jointplay.app.storage.machine_store import MachineStore
@@ -251,10 +250,13 @@ class Service:
         if "mapping" in request.model_fields_set:
             mapping = {column: sensor for column, sensor in request.mapping.items() if column in columns}
 
-        def also(session: Session, key: str) -> None:
-            self.announce(session, key, measurements, asked.asset, result)
-            if asked.asset is not None:
-                external_id = asked.asset.external_id
+        def also(session: Session, key: str, new: bool) -> None:
+            external_id = asked.asset.external_id if asked.asset else None
+            if external_id:  # one that was deleted may be another one of that name since
+                Assets(self.store.database).note(session, external_id, measurements, key)
+            if new:
+                announce(session, key, external_id, result)
+            if new and external_id:
                 Remembered(self.store.database).remember(session, external_id, columns, told.shown, mapping)
 
         return NewDiagnosis(
@@ -276,15 +278,11 @@ class Service:
         found = (self.machines.find(each) for each in self.machines.names())
         return next((machine for machine in found if machine.name == name), None)
 
-    def announce(
-        self, session: Session, diagnosis: str, measurements: Sequence[str], asset: AssetRow | None, result: Diagnosis
-    ) -> None:
-        """Note in the transaction that stores a diagnosis what else is to know of it."""
-        if asset is not None:
-            Assets(self.store.database).note(session, asset.external_id, measurements, diagnosis)
-        told = result.model_dump(mode="json", include={"machine", "verdict", "candidate_set"})
-        named = {"diagnosis": diagnosis, "asset": None if asset is None else asset.external_id}
-        webhooks.announce(session, "diagnosis.created", {**named, **told})
+
+def announce(session: Session, diagnosis: str, asset: str | None, result: Diagnosis) -> None:
+    """Note in the transaction that stores a diagnosis that webhooks are to know of it."""
+    told = result.model_dump(mode="json", include={"machine", "verdict", "candidate_set"})
+    webhooks.announce(session, "diagnosis.created", {"diagnosis": diagnosis, "asset": asset, **told})
 
 
 def of_request(request: Request) -> Service:

@@ -48,7 +48,7 @@ class NewDiagnosis:
     measurement, catalogue, machine, request, result
         As in :class:`DiagnosisRow`. Where the request names an asset, the diagnosis is of that asset alone.
     also : callable, optional
-        Called with the id in the same transaction, if the diagnosis is new.
+        Called in the same transaction with the id, and whether the diagnosis is new.
     """
 
     measurement: str
@@ -56,7 +56,7 @@ class NewDiagnosis:
     machine: Mapping[str, Any]
     request: Mapping[str, Any]
     result: Diagnosis
-    also: Callable[[Session, str], None] | None = None
+    also: Callable[[Session, str, bool], None] | None = None
 
     def row(self) -> dict[str, Any]:
         """Return the members of the row."""
@@ -285,8 +285,8 @@ class Store:
         if new:
             kept.answer = diagnosis.result  # not read again from what was just made of it
             audit.note(session, "made", "diagnosis", kept.id, after=about_diagnosis(kept))
-        if diagnosis.also is not None:  # its asset may be another one of that name since
-            diagnosis.also(session, kept.id)
+        if diagnosis.also is not None:
+            diagnosis.also(session, kept.id, new)
         return kept
 
     def diagnosis(self, key: str) -> DiagnosisRow:

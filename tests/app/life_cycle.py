@@ -41,7 +41,7 @@ def diagnosed(
     ids = [each.id for each in measurements]
     request = {"asset": asset, "measurements": ids if len(ids) > 1 else None}
 
-    def also(session: Session, key: str) -> None:
+    def also(session: Session, key: str, new: bool) -> None:
         if asset is not None:
             Assets(store.database).note(session, asset, ids, key)
 

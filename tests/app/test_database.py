@@ -110,7 +110,7 @@ def test_a_transaction_that_fails_leaves_nothing(store: Store) -> None:
 def test_a_recording_and_its_answer_are_one_transaction_of_few_statements(store: Store) -> None:
     """A statement more costs a server of many clients its rate: beside rows, webhooks are told and a chain is noted."""
 
-    def told(session: Session, key: str) -> None:
+    def told(session: Session, key: str, new: bool) -> None:
         announce(session, "diagnosis.created", {"diagnosis": key})
 
     def both(name: str) -> None:
@@ -242,17 +242,17 @@ def test_a_measurement_and_its_diagnosis_in_one_transaction(store: Store) -> Non
     event.listen(store.database.engine, "commit", commits.append)
     told = Told(sample_rate_hz=1000.0)
     key = measurement_key(SHA256, "a.csv", told)
-    noted: list[str] = []
-    new = NewDiagnosis(key, "c" * 64, {"name": "m"}, {}, diagnosis(), lambda _session, made: noted.append(made))
+    noted: list[tuple[str, bool]] = []
+    new = NewDiagnosis(key, "c" * 64, {"name": "m"}, {}, diagnosis(), lambda _, *said: noted.append(said))
     row = store.add_both(uploaded(store), "a.csv", told, {"samples": 3}, new)
     assert len(commits) == 1
-    assert (store.measurement(key).told, row.measurement, noted) == (told, key, [row.id])
+    assert (store.measurement(key).told, row.measurement, noted) == (told, key, [(row.id, True)])
     found = store.diagnosis(row.id)
     for name in ("number", "id", "measurement", "catalogue", "machine", "created_at", "request", "result", "checksum"):
         assert getattr(found, name) == getattr(row, name)
     assert store.add_both(uploaded(store), "a.csv", told, {"samples": 4}, new).number == row.number
     assert store.measurement(key).summary == {"samples": 3}
-    assert noted == [row.id]
+    assert noted == [(row.id, True), (row.id, False)]
 
 
 def test_an_upload_whose_measurement_was_not_stored_goes(store: Store) -> None:

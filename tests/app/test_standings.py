@@ -282,10 +282,12 @@ def test_whatever_counts_makes_an_asset_due(stores: list[Store]) -> None:
         MACHINE,
         {"asset": "press-7"},
         diagnosis(),
-        lambda session, key: assets.note(session, "press-7", [measured.id], key),
+        lambda session, key, new: assets.note(session, "press-7", [measured.id], key),
     )
     answered = store.add_diagnosis(new)
     assert settled().changes == before.changes + 3
+    assert store.add_diagnosis(new).id == answered.id
+    assert settled().changes == before.changes + 3, "the same again is nothing new"
     other = settled("press-8")
     for _ in range(2):
         assets.add_finding(answered, FindingIn(text="bush worn", at=NOW.isoformat()))
