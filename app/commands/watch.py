@@ -46,6 +46,11 @@ ASIDE = (".tmp", ".part", ".partial", ".filepart", ".crdownload", ".yaml", ".yml
 @click.option("--catalogue", metavar="NAME", help="Of the service: each recording is diagnosed by it; else only kept.")
 @click.option("--asset", metavar="ID", help="The machine that was measured, if it is one of the service's assets.")
 @click.option(
+    "--effort",
+    type=click.Choice(["fast", "standard", "thorough"]),
+    help="How much to compute for each recording, with --catalogue.  [default: the service's]",
+)
+@click.option(
     "--quiet",
     type=QuantityOption("TIME"),
     default="5 s",
@@ -60,6 +65,7 @@ def command(
     server: str,
     catalogue: str | None,
     asset: str | None,
+    effort: str | None,
     quiet: float,
     once: bool,
     as_json: bool,
@@ -70,7 +76,10 @@ def command(
     A file is sent when it has not changed for a while; one that is refused is tried again when it has changed. The
     folder keeps a journal, so that the same command goes on after any end.
     """
-    fields = {name: value for name, value in (("catalogue", catalogue), ("asset", asset)) if value}
+    if effort and not catalogue:
+        raise click.BadParameter(f"{effort}: needs --catalogue", param_hint="'--effort'")
+    asked = (("catalogue", catalogue), ("asset", asset), ("effort", effort))
+    fields = {name: value for name, value in asked if value}
     destination = Destination(address_of(server), {**fields, **said_of_files(told)}, os.environ.get(KEY, ""))
     with claim(folder):
         watcher = Watcher(folder, destination, quiet, as_json)

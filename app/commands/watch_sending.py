@@ -80,14 +80,14 @@ class Destination:
         try:
             connection.request("POST", f"/api/v1/{kind}", form_body(self.fields, name, content, boundary), headers)
             response = connection.getresponse()
-            status, text = response.status, response.read()
+            status, text, again = response.status, response.read(), response.getheader("Retry-After")
         except ssl.SSLCertVerificationError as error:
             raise WrongRequestError(f"{self.server}: {error.verify_message}") from None
         except (OSError, http.client.HTTPException) as error:
             raise NotNowError(f"{self.server} does not answer ({error or type(error).__name__})") from None
         finally:
             connection.close()
-        return judge(status, text)
+        return judge(status, text, goes_on=again is not None)
 
     def _connection(self) -> http.client.HTTPConnection:
         parts = urlsplit(self.server)
@@ -107,8 +107,16 @@ def form_body(fields: Mapping[str, str], name: str, content: bytes, boundary: st
     return b"".join([*parts, head.encode("utf-8", "replace"), content, f"\r\n--{boundary}--\r\n".encode()])
 
 
-def judge(status: int, text: bytes) -> dict[str, Any]:
-    """Return the answer of a service, or raise what it means for this file and the next ones."""
+def judge(status: int, text: bytes, *, goes_on: bool = False) -> dict[str, Any]:
+    """Return the answer of a service, or raise what it means for this file and the next ones.
+
+    Parameters
+    ----------
+    status : int
+    text : bytes
+    goes_on : bool
+        Whether it says when to ask again: what took too long goes on there.
+    """
     try:
         document = json.loads(text)
     except ValueError:
@@ -120,7 +128,8 @@ def judge(status: int, text: bytes) -> dict[str, Any]:
         return document
     said = " ".join(str(document.get("detail") or document.get("title") or status).split())
     fields = {each.get("field") for each in document.get("errors", []) if isinstance(each, dict)}
-    if status in LATER or str(document.get("type", "")).endswith("idempotency-key-in-use"):
+    later = status in LATER or (status == http.HTTPStatus.GATEWAY_TIMEOUT and goes_on)
+    if later or str(document.get("type", "")).endswith("idempotency-key-in-use"):
         raise NotNowError(said)
     if status in ALL_FILES or status < 400 or fields & ASKED:
         raise WrongRequestError(said)

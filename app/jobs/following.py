@@ -103,15 +103,17 @@ def gather(store: Store, asset: str, up_to: DiagnosisRow | None = None) -> Life:
     # Findings stay when their asset is deleted: they are not of another one of its name.
     own = [found for found in assets.findings(None, MOST_LESSONS, only={"asset": asset}) if _is_since(found, row)]
     made = _made(recordings)
-    latest, until = diagnoses[0], ENDLESS
+    until = ENDLESS
     if up_to:
-        latest, until = up_to, max((made[key][1] for key in up_to.measurements if key in made), default=NEVER)
+        until = max((made[key][1] for key in up_to.measurements if key in made), default=NEVER)
         own = [found for found in own if found.at <= until]
         diagnoses = [up_to, *(each for each in diagnoses if _is_before(each, up_to, made, until))]
     counted = _counted(diagnoses, made, repairs_of(own))
     if not counted:
         said = "its recordings were diagnosed together only, those of before a repair with those of after it"
         raise NothingToFollowError(f"asset {asset}: {said}", field="asset")
+    # Its file is that of the answer to its last recording, in whatever order they came.
+    latest = up_to or max(counted, key=lambda each: each[:2])[2]
     return Life(
         machine=latest.machine,
         visits=[(at, key, _without_evidence(each)) for at, key, each in counted],

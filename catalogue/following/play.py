@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache
 
 import numpy as np
 from scipy.signal import lfilter
@@ -160,17 +160,20 @@ def let_pass(belief: FloatArray, seconds: float, mended: FloatArray | None = Non
     mended : ndarray, shape (..., S, X), optional
         Joints as new, of which there are more with time. Nobody mends any unless given.
     """
-    steps = max(0, math.ceil(seconds / MONTH))
+    if seconds <= 0.0:
+        return belief
+    steps = math.ceil(seconds / MONTH)
+    each = seconds / steps
+    move, share = _movement(each), -math.expm1(-REPAIRS * each)
     for _ in range(steps):
-        belief = _step(belief, seconds / steps)
+        belief = _step(belief, each, move)
         if mended is not None:
-            share = -math.expm1(-REPAIRS * seconds / steps)
             belief = (1.0 - share) * belief + share * mended
     return belief
 
 
-def _step(belief: FloatArray, seconds: float) -> FloatArray:
-    """Let time pass at once: rates change at its beginning, and joints jump."""
+def _step(belief: FloatArray, seconds: float, move: csr_array) -> FloatArray:
+    """Let time pass at once: rates change at its beginning, and joints jump, then they wear."""
     change = -math.expm1(-CHANGES * seconds)
     mixed = (1.0 - change) * belief + change * LIKELY_RATES[:, None] * belief.sum(axis=-2, keepdims=True)
     # In so many parts that there are few jumps in one; after it a joint may wear at any rate.
@@ -181,13 +184,11 @@ def _step(belief: FloatArray, seconds: float) -> FloatArray:
         after = lfilter([1.0 - _NEXT], [1.0, -_NEXT], before, axis=-1)
         after[..., -1] += before.sum(axis=-1) - after.sum(axis=-1)
         mixed = (1.0 - jumping) * mixed + LIKELY_RATES[:, None] * after
-    move = _movement(seconds)
     return np.ascontiguousarray(mixed.reshape(-1, move.shape[0]) @ move).reshape(mixed.shape)
 
 
-@lru_cache(maxsize=256)
 def _movement(seconds: float) -> csr_array:
-    """Where joints of every rate and clearance (S X, S X) are after some time, at the same rate."""
+    """Where joints of every rate and clearance are after some time, at the same rate, shape (S X, S X)."""
     size, places = len(AXIS), np.arange(len(AXIS))
     reached = np.log(np.exp(AXIS) + RATES[:, None] * seconds)
     place = np.clip((reached - AXIS[0]) / STEP, places, size - 1.0)  # never back by a rounding
@@ -198,6 +199,12 @@ def _movement(seconds: float) -> csr_array:
     share, column = np.stack([1.0 - part, part], axis=-1), np.stack([there, there + 1], axis=-1)
     rows = np.arange(0, share.size + 1, 2)
     return csr_array((share.ravel(), column.ravel(), rows), shape=(there.size, there.size))
+
+
+@cache
+def _movements_ahead() -> tuple[csr_array, ...]:
+    """Those between the moments at which is looked ahead, 0.13 MB each."""
+    return tuple(map(_movement, _MOMENTS_APART))
 
 
 def quantiles(marginal: FloatArray, shares: FloatArray, blur: float = 0.0) -> FloatArray:
@@ -231,8 +238,8 @@ def reach(belief: FloatArray, limits: FloatArray, alike: float, shares: FloatArr
     """
     over = ndtr((AXIS - np.log(limits)[:, None]) / alike)
     reached = [np.sum(belief.sum(axis=-2) * over, axis=-1)]
-    for seconds in _MOMENTS_APART:
-        belief = _step(belief, seconds)
+    for seconds, move in zip(_MOMENTS_APART, _movements_ahead(), strict=True):
+        belief = _step(belief, seconds, move)
         reached.append(np.sum(belief.sum(axis=-2) * over, axis=-1))
     course = np.maximum.accumulate(np.array(reached))  # never back by a rounding
     times = [np.interp(shares, each, _MOMENTS, right=math.inf) for each in course.T]

@@ -282,6 +282,16 @@ def test_what_a_status_means(status: int, document: object, kind: type[Exception
         judge(status, json.dumps(document).encode())
 
 
+def test_what_takes_long_goes_on_where_the_service_says_so() -> None:
+    with pytest.raises(NotNowError, match="96 of 9984 cases"):
+        judge(504, b'{"detail": "96 of 9984 cases are simulated"}', goes_on=True)
+
+
+def test_an_effort_needs_a_catalogue(folder: Path) -> None:
+    refused = invoke("watch", folder, "--server", "http://x", "--effort", "thorough")
+    assert_refused(refused, 2, "'--effort': thorough: needs --catalogue")
+
+
 def test_one_watcher_a_folder(folder: Path) -> None:
     with FileLock(folder / LOCK):
         assert_refused(invoke("watch", folder, "--server", "http://x"), 1, "is being watched by another process")
