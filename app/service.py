@@ -252,11 +252,10 @@ class Service:
 
         def also(session: Session, key: str, new: bool) -> None:
             external_id = asked.asset.external_id if asked.asset else None
-            if external_id:  # one that was deleted may be another one of that name since
-                Assets(self.store.database).note(session, external_id, measurements, key)
             if new:
                 announce(session, key, external_id, result)
-            if new and external_id:
+            # One that was deleted may be another one of that name since.
+            if external_id and Assets(self.store.database).note(session, external_id, measurements, key):
                 Remembered(self.store.database).remember(session, external_id, columns, told.shown, mapping)
 
         return NewDiagnosis(

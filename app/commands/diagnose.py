@@ -135,8 +135,8 @@ def command(
     if out is not None:
         refuse_given(("plot",), "is of one answer, and --out has one for each measurement")
         check_table(out)
-        if any(out.absolute() == each.absolute() for each in measurements):
-            raise click.BadParameter(f"{out}: is one of the measurements", param_hint="'--out'")
+        if out.resolve() in {each.resolve() for each in (*measurements, *baselines)}:
+            raise click.BadParameter(f"{out}: is one of the recordings", param_hint="'--out'")
     if plot is not None:
         from jointplay.app.figures.plots import check_ending
 

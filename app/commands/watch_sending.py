@@ -87,7 +87,8 @@ class Destination:
             raise NotNowError(f"{self.server} does not answer ({error or type(error).__name__})") from None
         finally:
             connection.close()
-        return judge(status, text, goes_on=again is not None)
+        # Where the background is full, there is no time to ask again either.
+        return judge(status, text, goes_on=again is not None or self.fields.get("effort") == "thorough")
 
     def _connection(self) -> http.client.HTTPConnection:
         parts = urlsplit(self.server)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from sqlalchemy import select
 
 from jointplay.app.errors import NothingToFollowError
-from jointplay.app.storage.asset_rows import AssetRow, FindingRow
+from jointplay.app.storage.asset_rows import FindingRow
 from jointplay.app.storage.assets import Assets, diagnoses_of, measurements_of
 from jointplay.app.storage.repairs import is_between, repairs_of
 from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
@@ -100,8 +100,7 @@ def gather(store: Store, asset: str, up_to: DiagnosisRow | None = None) -> Life:
         raise NothingToFollowError(f"asset {asset}: none of its recordings was diagnosed yet", field="asset")
     # Whoever diagnoses a recording for an asset notes it as one of the asset's.
     recordings = store.measurements(None, MOST_RECORDINGS, measurements_of(asset), gone=True)
-    # Findings stay when their asset is deleted: they are not of another one of its name.
-    own = [found for found in assets.findings(None, MOST_LESSONS, only={"asset": asset}) if _is_since(found, row)]
+    own = assets.findings(None, MOST_LESSONS, row.created_at, {"asset": asset})
     made = _made(recordings)
     until = ENDLESS
     if up_to:
@@ -121,10 +120,6 @@ def gather(store: Store, asset: str, up_to: DiagnosisRow | None = None) -> Life:
         lessons=[(_without_evidence(answer), found.joints) for answer, found in _lessons(store, row.machine, until)],
         limits_um=latest.request.get("limits_um", {}) if up_to else row.limits_um,
     )
-
-
-def _is_since(found: FindingRow, asset: AssetRow) -> bool:
-    return found.created_at >= asset.created_at
 
 
 def _made(recordings: Sequence[MeasurementRow]) -> dict[str, tuple[str, datetime]]:
@@ -210,6 +205,7 @@ def _without_evidence(row: DiagnosisRow) -> dict[str, Any]:
 def follow_life(life: Life) -> WearState:
     """Return the state of wear of an asset; in a worker."""
     from jointplay.catalogue.diagnosing.answer import Diagnosis
+    from jointplay.catalogue.errors import DiagnosisError
     from jointplay.catalogue.following.follow import follow
     from jointplay.catalogue.following.play import bounds_of
     from jointplay.catalogue.following.teaching import Lesson, learn_from
@@ -219,10 +215,13 @@ def follow_life(life: Life) -> WearState:
     visits = [Visit(at, key, Diagnosis.model_validate(result)) for at, key, result in life.visits]
     machine = parse_machine(life.machine)
     joints = dict.fromkeys(joint for visit in visits for joint in visit.answer.joints)
-    joints |= dict.fromkeys(joint for *_, told in life.findings for joint in told if joint in machine.wearing_joints)
+    bounds = bounds_of(machine, joints)
+    for joint in {joint for *_, told in life.findings for joint in told if joint in machine.wearing_joints}:
+        with suppress(DiagnosisError):  # of a fit that cannot be followed, which no answer names
+            bounds |= bounds_of(machine, [joint])
     bounds = {
         name: replace(found, limit=1e-6 * life.limits_um[name]) if name in life.limits_um else found
-        for name, found in bounds_of(machine, joints).items()
+        for name, found in sorted(bounds.items())
     }
     inspections = [
         Inspection(

@@ -90,7 +90,7 @@ async def state(request: Request, external_id: str) -> Response:
     try:
         row = await run_in_threadpool(Assets(service.store.database).asset, external_id)
         only = {"asset": external_id}
-        found = await run_in_threadpool(Assets(service.store.database).findings, None, SHOWN, None, only)
+        found = await run_in_threadpool(Assets(service.store.database).findings, None, SHOWN, row.created_at, only)
         shown = show_state(await service.follow(external_id), found)
         members = {"asset": asset_item(row), "state": shown}
     except REFUSALS as error:
@@ -230,7 +230,9 @@ async def show_asset(
         stored = {name: value for name, value in stored.items() if not name.startswith(BASELINE)}
     members["chosen"] = stored | (given or {})
     members |= {"may_match": may_match(request), "title": f"{external_id}: jointplay"}
-    return await answer_page(request, "asset.html", members, problem)
+    together = members["catalogues"] and len(members["several"]) > 1 and members["may_match"]
+    hidden = {*(() if together else TOGETHER), *(() if members["limits"] else ("limits_um",))}
+    return await answer_page(request, "asset.html", members, problem, [each for each in FIELDS if each not in hidden])
 
 
 async def answer_page(
@@ -273,7 +275,7 @@ def past(service: Service, external_id: str, cursor: str | None) -> dict[str, An
     recordings = [each for each in own if each.summary.get("kind") != "spectrum"]  # which is no baseline
     baselines = [store.measurement(key) for key in row.in_order]
     recordings += [each for each in baselines if each.id not in {one.id for one in recordings}]
-    findings = found.findings(None, SHOWN + 1, None, {"asset": external_id}, damaged)
+    findings = found.findings(None, SHOWN + 1, row.created_at, {"asset": external_id}, damaged)
     colours, drawn = dict[str, float](), ""
     if diagnoses and cursor is None:
         mended = repairs_of(findings)

@@ -99,7 +99,9 @@ def find_report(
     notes = known.notes if known else ""
     if past is None:
         return report_of(row, measurement, asset, notes, gone), figures_of(row, response)
-    findings = [each for each in assets.findings(None, MOST_LESSONS, only={"asset": asset}) if each.at <= past.at]
+    since = known.created_at if known else None
+    findings = assets.findings(None, MOST_LESSONS, since, {"asset": asset})
+    findings = [each for each in findings if each.at <= past.at]
     drawn = chart(past, findings)
     trend = trend_svg(drawn["data"]) if drawn else ""
     return report_of(row, measurement, asset, notes, gone, past_words(past)), figures_of(row, response, trend)

@@ -79,9 +79,8 @@ class Assets:
                 said = f"external_id: {external_id}: there is an asset of this id already"
                 raise BadFieldError(said, field="external_id")
             row = one_locked(session, external_id)
-            if row.machine != wanted.machine and session.scalar(diagnoses_of(external_id).limit(1)):
-                said = f"machine: {wanted.machine[:80]}: asset {external_id} has diagnoses of a {row.machine}"
-                raise BadFieldError(f"{said}: must stay; another machine is another asset", field="machine")
+            if row.machine != wanted.machine:
+                refuse_another_machine(session, external_id, wanted.machine)
             before = None if new else about_asset(row)
             if row.in_order != in_order or any(getattr(row, name) != value for name, value in asked.items()):
                 for name, value in asked.items():
@@ -190,8 +189,8 @@ class Assets:
         if session.execute(insert.returning(AssetMeasurementRow.asset)).first() is not None:
             note(session, "gained", "asset", external_id, after={"measurement": measurement})
 
-    def note(self, session: Session, external_id: str, measurements: Iterable[str], diagnosis: str) -> None:
-        """Note in a transaction that a diagnosis, and what it is of, belong to an asset.
+    def note(self, session: Session, external_id: str, measurements: Iterable[str], diagnosis: str) -> bool:
+        """Note in a transaction that a diagnosis, and what it is of, belong to an asset; return whether that is new.
 
         Raises
         ------
@@ -203,8 +202,10 @@ class Assets:
             self.own_in(session, external_id, measurement)
         row = {"asset": external_id, "diagnosis": diagnosis}
         insert = self._database.insert(AssetDiagnosisRow).values(row).on_conflict_do_nothing()
-        if session.execute(insert.returning(AssetDiagnosisRow.asset)).first() is not None:
+        is_new = session.execute(insert.returning(AssetDiagnosisRow.asset)).first() is not None
+        if is_new:
             touch(session, AssetRow.external_id == external_id)
+        return is_new
 
     def add_finding(self, row: DiagnosisRow, found: FindingIn) -> FindingRow:
         """Store a finding and return it: the same finding twice is one.
@@ -246,6 +247,11 @@ class Assets:
                 touch(session, AssetRow.machine == of.scalar_subquery())
                 note(session, "made", "finding", key, after={name: values[name] for name in SAID_OF_FINDING})
                 announce(session, "finding.created", {"finding": key, "diagnosis": row.id, "asset": values["asset"]})
+            elif asset := session.scalar(select(AssetRow).filter_by(external_id=values["asset"])):
+                kept = session.scalars(select(FindingRow).filter_by(id=key)).one()
+                if kept.created_at < asset.created_at:  # of one that was deleted, of this name
+                    kept.created_at = values["created_at"]
+                    touch(session, AssetRow.external_id == asset.external_id)
         return self.finding(key)
 
     def finding(self, key: str) -> FindingRow:
@@ -341,6 +347,20 @@ def hold(session: Session, external_id: str) -> None:
 def deleted_meanwhile(external_id: str) -> UnknownAssetError:
     """Return the error for an asset that was there just now."""
     return UnknownAssetError(f"asset {external_id}: was deleted meanwhile", field="asset")
+
+
+def refuse_another_machine(session: Session, external_id: str, machine: str) -> None:
+    """Refuse another machine than that of an asset's newest diagnosis: answers of both would be followed as one.
+
+    Raises
+    ------
+    BadFieldError
+    """
+    known = select(DiagnosisRow.machine).where(DiagnosisRow.id.in_(diagnoses_of(external_id)))
+    newest_one = session.scalar(known.order_by(DiagnosisRow.number.desc()).limit(1))
+    if newest_one is not None and newest_one["name"] != machine:
+        said = f"machine: {machine[:80]}: asset {external_id} has diagnoses of a {newest_one['name']}"
+        raise BadFieldError(f"{said}: must stay; another machine is another asset", field="machine")
 
 
 def about_asset(row: AssetRow) -> dict[str, Any]:

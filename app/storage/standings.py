@@ -116,7 +116,8 @@ class Standings:
         """
         with self._database.reading() as session:
             made = moments_of(session, external_id)
-            findings = select(FindingRow).where(FindingRow.asset == external_id)
+            since = select(AssetRow.created_at).where(AssetRow.external_id == external_id).scalar_subquery()
+            findings = select(FindingRow).where(FindingRow.asset == external_id, FindingRow.created_at >= since)
             repairs = repairs_of(rows_of(session, FindingRow, findings, []))
             answered = []
             for number, keys in recordings_of(session, external_id).items():

@@ -82,9 +82,9 @@ def read_answer(answer: Answer, bounds: Mapping[str, JointBounds]) -> Evidence:
     odd = answer.verdict == "unknown" or (answer.verdict == "changed" and not heard)
     doubted = odd or answer.goodness_of_fit.p_value < UNKNOWN_BELOW
     tells = spoken * (1.0 - np.minimum(odds, 1.0 / odds).min(initial=1.0))
-    acquits = np.zeros(len(bounds), bool)
-    acquits[spoken] = odds < ACQUITTED
     slip = 1.0 if answer.sensors else DOUBTED if doubted else SLIP
+    acquits = np.zeros(len(bounds), bool)
+    acquits[spoken] = (odds < ACQUITTED) & (slip < 1.0)
     return Evidence(found / before, densities, tells, acquits, slip)
 
 

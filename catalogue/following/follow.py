@@ -112,6 +112,8 @@ class _Joint:
         By how much the last recording has changed P(worn).
     sure_since : datetime or None
     course : list of CoursePoint
+    acquitted : list of bool
+        Whether each recording of the course has spoken against its wear.
     """
 
     bounds: JointBounds
@@ -119,6 +121,7 @@ class _Joint:
     moved: float = 0.0
     sure_since: datetime | None = None
     course: list[CoursePoint] = field(default_factory=list)
+    acquitted: list[bool] = field(default_factory=list)
 
     def p_worn(self, marginal: FloatArray) -> float:
         """Probability of wear by that of clearances (X,)."""
@@ -130,10 +133,11 @@ class _Joint:
         return low, median, high
 
     def when_mended(self) -> datetime:
-        """Moment of the recording, after the last one that was sure of wear, that said most against it."""
+        """Moment of the recording that said most against wear, after the last one that was sure of it."""
         last = max(place for place, point in enumerate(self.course) if point.p_worn >= SURE)
         odds = logit(np.clip([point.p_worn for point in self.course[last:]], 1e-9, 1.0 - 1e-9))
-        return self.course[last + 1 + int(np.diff(odds).argmin())].at
+        against = np.where(self.acquitted[last + 1 :], np.diff(odds), math.inf)
+        return self.course[last + 1 + int(against.argmin())].at
 
 
 @dataclass(eq=False)
@@ -210,6 +214,7 @@ class _Following:
                     foretold_um=(foretold[0], foretold[2]),
                 )
             )
+            joint.acquitted.append(bool(said.acquits[j]))
             if p_worn >= SURE:
                 joint.sure_since = joint.sure_since or self.at
             elif p_worn < UNWORN and said.acquits[j]:  # what is only forgotten was not mended
@@ -260,7 +265,7 @@ class _Following:
                 um_per_year=joint.three(in_a_year[j])[1] - median,
                 limit_um=round(1e6 * joint.bounds.limit, 6),
                 limit_at=(early, likely, late),
-                first_sure_at=joint.sure_since,
+                first_sure_at=joint.sure_since if joint.p_worn(marginal) >= UNWORN else None,
                 moved_by=joint.moved,
                 course=tuple(joint.course),
             )

@@ -173,7 +173,10 @@ def let_pass(belief: FloatArray, seconds: float, mended: FloatArray | None = Non
 
 
 def _step(belief: FloatArray, seconds: float, move: csr_array) -> FloatArray:
-    """Let time pass at once: rates change at its beginning, and joints jump, then they wear."""
+    """Let so many seconds pass for joints (..., S, X) at once: rates change, joints jump, then they wear.
+
+    The latter by what :func:`_movement` says of this time.
+    """
     change = -math.expm1(-CHANGES * seconds)
     mixed = (1.0 - change) * belief + change * LIKELY_RATES[:, None] * belief.sum(axis=-2, keepdims=True)
     # In so many parts that there are few jumps in one; after it a joint may wear at any rate.
@@ -188,7 +191,7 @@ def _step(belief: FloatArray, seconds: float, move: csr_array) -> FloatArray:
 
 
 def _movement(seconds: float) -> csr_array:
-    """Where joints of every rate and clearance are after some time, at the same rate, shape (S X, S X)."""
+    """Where joints of every rate and clearance are after so many seconds, at the same rate, shape (S X, S X)."""
     size, places = len(AXIS), np.arange(len(AXIS))
     reached = np.log(np.exp(AXIS) + RATES[:, None] * seconds)
     place = np.clip((reached - AXIS[0]) / STEP, places, size - 1.0)  # never back by a rounding
@@ -197,8 +200,8 @@ def _movement(seconds: float) -> csr_array:
     # The two next to where it is then.
     there = cell + size * np.arange(len(RATES))[:, None]
     share, column = np.stack([1.0 - part, part], axis=-1), np.stack([there, there + 1], axis=-1)
-    rows = np.arange(0, share.size + 1, 2)
-    return csr_array((share.ravel(), column.ravel(), rows), shape=(there.size, there.size))
+    rows = np.arange(0, share.size + 1, 2, dtype=np.int32)
+    return csr_array((share.ravel(), column.ravel().astype(np.int32), rows), shape=(there.size, there.size))
 
 
 @cache

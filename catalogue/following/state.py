@@ -51,7 +51,7 @@ class JointFollowed(Frozen):
     limit_at : (datetime or None, datetime or None, datetime or None)
         When it has reached that with probabilities of 0.05, 0.5 and 0.95, if not mended; None: not within a century.
     first_sure_at : datetime or None
-        First recording by which wear was sure, since it was last repaired, or no longer likelier than not.
+        First recording by which wear was sure, since the joint was last repaired; None where it is likelier in order.
     moved_by : float
         By how much the last recording has changed `p_worn`.
     course : tuple of CoursePoint

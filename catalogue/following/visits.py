@@ -78,15 +78,14 @@ def put_in_order(visits: Sequence[Visit], inspections: Sequence[Inspection]) -> 
     once: dict[str, Visit] = {}
     for visit in visits:
         earliest = min(visit.at, once.get(visit.sha256, visit).at, key=_utc)
-        once[visit.sha256] = replace(visit, at=earliest)
+        once[visit.sha256] = replace(visit, at=_utc(earliest))
+    inspections = [replace(found, at=_utc(found.at)) for found in inspections]
     known = {
         (found.at, found.key, *sorted(found.joints.items()), *sorted(found.repaired)): found for found in inspections
     }
     # A recording of the moment of an inspection is of the machine as it was found.
-    events: list[tuple[datetime, int, str, Event]] = [
-        (_utc(visit.at), 0, visit.sha256, visit) for visit in once.values()
-    ]
-    events += [(_utc(found.at), 2 if found.repaired else 1, repr(key), found) for key, found in known.items()]
+    events: list[tuple[datetime, int, str, Event]] = [(visit.at, 0, visit.sha256, visit) for visit in once.values()]
+    events += [(found.at, 2 if found.repaired else 1, repr(key), found) for key, found in known.items()]
     return [event for _, _, _, event in sorted(events, key=lambda item: item[:3])]
 
 

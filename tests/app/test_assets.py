@@ -191,6 +191,7 @@ def test_an_asset_that_was_diagnosed_stays_the_machine_that_it_is(client: httpx.
     )
     assert refused.json()["detail"] == said
     assert client.get(f"{API}/assets/crank-9").json()["machine"] == "slider-crank"
+    assert client.put(f"{API}/assets/crank-9", json={"machine": "slider-crank", "notes": "x"}).status_code == 200
 
 
 def test_the_diagnoses_since_a_moment(client: httpx.Client, diagnosis: dict[str, Any]) -> None:

@@ -186,7 +186,7 @@ def test_many_files_have_a_table_of_answers(
     [
         (("--out", "table.xls"), "'--out': table.xls: must end in .csv or .json"),
         (("--out", "missing/table.csv"), "there is no folder missing"),
-        (("again.csv", "--out", "again.csv"), "'--out': again.csv: is one of the measurements"),
+        (("again.csv", "--out", "again.csv"), "'--out': again.csv: is one of the recordings"),
         (("--out", "table.csv", "--plot", "x.png"), "--plot: is of one answer"),
         (("--out", "table.csv", "--speed", "600 rpm", "--speed", "610 rpm"), "2 for 1 measurements"),
     ],

@@ -84,6 +84,8 @@ def test_findings_of_a_deleted_asset_are_not_of_another_of_its_name(client: http
     client.put(f"{API}/assets/{asset}", json={"machine": "slider-crank"}).raise_for_status()
     diagnose(client, 2, asset)
     assert told > 250 > state_of(client, asset)["joints"]["A"]["clearance_um"]
+    client.post(f"{API}/diagnoses/{answer['id']}/finding", json=found).raise_for_status()
+    assert state_of(client, asset)["joints"]["A"]["clearance_um"] == told
 
 
 def test_recordings_that_have_several_answers_together_count_in_the_newest(client: httpx.Client) -> None:

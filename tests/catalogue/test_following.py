@@ -137,7 +137,8 @@ def test_a_repair_was_where_wear_fell_most() -> None:
     ]
 
     def mended(course: list[CoursePoint]) -> datetime:
-        return following._Joint(BOUNDS["B"], course=course).when_mended()
+        joint = following._Joint(BOUNDS["B"], course=course, acquitted=[True] * len(course))
+        return joint.when_mended()
 
     assert mended(course) == BEGIN + timedelta(days=4)
     assert mended([*course[:3], course[4]]) == BEGIN + timedelta(days=4)
@@ -293,8 +294,12 @@ def test_what_is_forgotten_was_not_mended() -> None:
     state = followed([*visits, *later])
     assert state.joints["B"].p_worn < 0.5 and not state.repairs
     against = answer({"A": -6.0, "B": -6.0, "O": -6.0}, {**AS_NEW, "B": 150e-6})
-    mended = followed([*visits, *later, Visit(visits[-1].at + timedelta(days=200), "against", against)])
-    assert [repair.joint for repair in mended.repairs] == ["B"]
+    at = visits[-1].at + timedelta(days=200)
+    mended = followed([*visits, *later, Visit(at, "against", against)])
+    assert [(repair.joint, repair.at) for repair in mended.repairs] == [("B", at)]
+    flaw = SensorFlaw(kind="dead", sensors=("s1-x",), said="s1-x says nothing")
+    silent = against.model_copy(update={"sensors": (flaw,)})
+    assert not followed([*visits, *later, Visit(at, "against", silent)]).repairs
 
 
 def test_what_is_found_at_one_moment_was_measured_before_it_was_mended() -> None:
@@ -312,12 +317,13 @@ def test_one_recording_of_two_times_is_of_the_earlier() -> None:
 
 
 def test_repairs_are_in_the_order_of_time() -> None:
+    """One that is seen late is dated back, before one of which was told meanwhile."""
     visits = course_of_wear(wears(20), 2)
-    later = [
-        Inspection(visits[n].at + timedelta(days=1), repaired=frozenset(joint)) for n, joint in ((12, "A"), (6, "O"))
-    ]
-    told = [repair.at for repair in followed(visits, later).repairs]
-    assert told == sorted(told) and len(told) == 2
+    weak = [answer({"A": sure, "B": -0.75, "O": sure}, {**AS_NEW, "B": 150e-6}) for sure in (0.0, -6.0)]
+    later = [Visit(visits[-1].at + timedelta(days=30 * n), f"weak {n}", each) for n, each in enumerate(weak, 1)]
+    told = Inspection(later[0].at + timedelta(days=1), repaired=frozenset("A"))
+    repairs = followed([*visits, *later], [told]).repairs
+    assert [(repair.joint, repair.at) for repair in repairs] == [("B", later[0].at), ("A", told.at)]
 
 
 def test_a_joint_found_sound_is_not_surely_worn() -> None:
