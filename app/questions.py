@@ -113,9 +113,7 @@ class Questions:
     def _check_one_state(self, rows: Sequence[MeasurementRow], asset: AssetRow, field: str) -> None:
         """Refuse recordings of an asset between which a joint was repaired: one answer is of one state."""
         moments = [row.measured_at for row in rows]
-        only = {"asset": asset.external_id}
-        known = Assets(self.store.database).findings(None, MOST_LESSONS, asset.created_at, only, [])
-        for found in known:
+        for found in Assets(self.store.database).findings_of(asset, MOST_LESSONS, damaged=[]):
             repaired = sorted(name for name, told in found.joints.items() if told.get("repaired"))
             if repaired and is_between([found.at], moments):
                 said = f"joint {', '.join(repaired)} of asset {asset.external_id} was repaired on {found.at:%Y-%m-%d}"

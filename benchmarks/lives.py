@@ -159,8 +159,8 @@ def _diagnose(
             baseline = [read_measurement(each) for each in past]
             found["answer"] = _brief(diagnose(recording, catalogue, effort=effort, baseline=baseline))
     except CatalogueError as error:
-        found |= {"answer": None, "alone": {}, "refusal": str(error)}
-        found |= line  # an answer that is there stays
+        # An answer that is there stays.
+        found = {"answer": None, "alone": {}, "refusal": str(error), **line, "sha256": recording.sha256}
     print(f"{line['name']}: {time.perf_counter() - began:.1f} s", file=sys.stderr, flush=True)
     return found
 

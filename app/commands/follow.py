@@ -92,10 +92,12 @@ def command(
         if recording.measured_at is None:
             raise click.BadParameter(f"{file}: says no time of measurement", param_hint="'--measured-at'")
     opened = Catalogue.open(existing_catalogue(catalogue))
+    wearing = sorted({joint for hypothesis in opened.matrix.hypotheses for joint in hypothesis.joints})
+    bounds = bounds_of(opened.machine, wearing)
     for option, each in (("--found", found), ("--repaired", repaired)):
         for joint, what in each:
-            if joint not in opened.matrix.joints:
-                rule = f"must be one of {', '.join(opened.matrix.joints)}"
+            if joint not in bounds:
+                rule = f"must be one of {', '.join(bounds)}"
                 raise click.BadParameter(f'"{joint}={what}": joint {joint}: {rule}', param_hint=f"'{option}'")
     sensors, in_order = each_once(mapping, "--map") or None, read_baselines(baselines, said, profile)
     visits = []
@@ -110,7 +112,6 @@ def command(
             answer = diagnose(recording, opened, speed=speed, effort=asked, mapping=sensors, baseline=past)
             visits.append(Visit(recording.measured_at, recording.sha256, answer))
         line.show(len(recordings), len(recordings))
-    bounds = bounds_of(opened.machine, visits[0].answer.joints)
     state = follow(visits, inspections, bounds=bounds)
     if as_json:
         click.echo(state.model_dump_json(indent=2))

@@ -80,15 +80,14 @@ class Destination:
         try:
             connection.request("POST", f"/api/v1/{kind}", form_body(self.fields, name, content, boundary), headers)
             response = connection.getresponse()
-            status, text, again = response.status, response.read(), response.getheader("Retry-After")
+            status, text = response.status, response.read()
         except ssl.SSLCertVerificationError as error:
             raise WrongRequestError(f"{self.server}: {error.verify_message}") from None
         except (OSError, http.client.HTTPException) as error:
             raise NotNowError(f"{self.server} does not answer ({error or type(error).__name__})") from None
         finally:
             connection.close()
-        # Where the background is full, there is no time to ask again either.
-        return judge(status, text, goes_on=again is not None or self.fields.get("effort") == "thorough")
+        return judge(status, text, self.fields.get("effort") == "thorough")
 
     def _connection(self) -> http.client.HTTPConnection:
         parts = urlsplit(self.server)
@@ -108,15 +107,15 @@ def form_body(fields: Mapping[str, str], name: str, content: bytes, boundary: st
     return b"".join([*parts, head.encode("utf-8", "replace"), content, f"\r\n--{boundary}--\r\n".encode()])
 
 
-def judge(status: int, text: bytes, *, goes_on: bool = False) -> dict[str, Any]:
+def judge(status: int, text: bytes, is_long: bool = False) -> dict[str, Any]:
     """Return the answer of a service, or raise what it means for this file and the next ones.
 
     Parameters
     ----------
     status : int
     text : bytes
-    goes_on : bool
-        Whether it says when to ask again: what took too long goes on there.
+    is_long : bool
+        Whether what takes too long goes on in the service's background, at once or when there is room.
     """
     try:
         document = json.loads(text)
@@ -129,7 +128,7 @@ def judge(status: int, text: bytes, *, goes_on: bool = False) -> dict[str, Any]:
         return document
     said = " ".join(str(document.get("detail") or document.get("title") or status).split())
     fields = {each.get("field") for each in document.get("errors", []) if isinstance(each, dict)}
-    later = status in LATER or (status == http.HTTPStatus.GATEWAY_TIMEOUT and goes_on)
+    later = status in LATER or (status == http.HTTPStatus.GATEWAY_TIMEOUT and is_long)
     if later or str(document.get("type", "")).endswith("idempotency-key-in-use"):
         raise NotNowError(said)
     if status in ALL_FILES or status < 400 or fields & ASKED:

@@ -100,7 +100,7 @@ def gather(store: Store, asset: str, up_to: DiagnosisRow | None = None) -> Life:
         raise NothingToFollowError(f"asset {asset}: none of its recordings was diagnosed yet", field="asset")
     # Whoever diagnoses a recording for an asset notes it as one of the asset's.
     recordings = store.measurements(None, MOST_RECORDINGS, measurements_of(asset), gone=True)
-    own = assets.findings(None, MOST_LESSONS, row.created_at, {"asset": asset})
+    own = assets.findings_of(row, MOST_LESSONS)
     made = _made(recordings)
     until = ENDLESS
     if up_to:

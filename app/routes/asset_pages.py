@@ -89,8 +89,7 @@ async def state(request: Request, external_id: str) -> Response:
     service = of_request(request)
     try:
         row = await run_in_threadpool(Assets(service.store.database).asset, external_id)
-        only = {"asset": external_id}
-        found = await run_in_threadpool(Assets(service.store.database).findings, None, SHOWN, row.created_at, only)
+        found = await run_in_threadpool(Assets(service.store.database).findings_of, row, SHOWN)
         shown = show_state(await service.follow(external_id), found)
         members = {"asset": asset_item(row), "state": shown}
     except REFUSALS as error:
@@ -275,7 +274,7 @@ def past(service: Service, external_id: str, cursor: str | None) -> dict[str, An
     recordings = [each for each in own if each.summary.get("kind") != "spectrum"]  # which is no baseline
     baselines = [store.measurement(key) for key in row.in_order]
     recordings += [each for each in baselines if each.id not in {one.id for one in recordings}]
-    findings = found.findings(None, SHOWN + 1, row.created_at, {"asset": external_id}, damaged)
+    findings = found.findings_of(row, SHOWN + 1, damaged)
     colours, drawn = dict[str, float](), ""
     if diagnoses and cursor is None:
         mended = repairs_of(findings)

@@ -97,11 +97,9 @@ def find_report(
     assets = Assets(service.store.database)
     known = assets.known(asset) if asset else None
     notes = known.notes if known else ""
-    if past is None:
+    if past is None or known is None:
         return report_of(row, measurement, asset, notes, gone), figures_of(row, response)
-    since = known.created_at if known else None
-    findings = assets.findings(None, MOST_LESSONS, since, {"asset": asset})
-    findings = [each for each in findings if each.at <= past.at]
+    findings = [each for each in assets.findings_of(known, MOST_LESSONS) if each.at <= past.at]
     drawn = chart(past, findings)
     trend = trend_svg(drawn["data"]) if drawn else ""
     return report_of(row, measurement, asset, notes, gone, past_words(past)), figures_of(row, response, trend)

@@ -274,8 +274,12 @@ class Assets:
         """Return findings at all assets that are one machine, the newest first; damaged ones as :meth:`findings`."""
         with self._database.reading() as session:
             query = select(FindingRow).join(AssetRow, AssetRow.external_id == FindingRow.asset)
-            query = query.where(AssetRow.machine == machine).order_by(FindingRow.number.desc()).limit(limit)
-            return rows_of(session, FindingRow, query, damaged)
+            query = query.where(AssetRow.machine == machine, FindingRow.created_at >= AssetRow.created_at)
+            return rows_of(session, FindingRow, query.order_by(FindingRow.number.desc()).limit(limit), damaged)
+
+    def findings_of(self, asset: AssetRow, limit: int, damaged: list[Damaged] | None = None) -> list[FindingRow]:
+        """Return findings at an asset as :meth:`findings`, but none at one of its name that was deleted."""
+        return self.findings(None, limit, asset.created_at, {"asset": asset.external_id}, damaged)
 
     def findings(
         self,

@@ -158,6 +158,8 @@ def test_an_asset_leaves_its_recordings(store: Store) -> None:
     assets = Assets(store.database)
     assets.put("press-7", AssetIn(machine="press", baselines=[row.id]))
     key = diagnosed(store, row, asset="press-7")
+    finding = found(store, key)
+    assert [each.id for each in assets.findings_of_machine("press", 5)] == [finding]
     retention.say(store.database, row.id, None, "claim 7")
     with pytest.raises(InUseError, match="claim 7"):
         Removal(store).delete_asset("press-7", "")
@@ -168,6 +170,8 @@ def test_an_asset_leaves_its_recordings(store: Store) -> None:
     assert store.measurement(row.id).id == store.diagnosis(key).measurement == row.id
     assert assets.put("press-7", AssetIn(machine="press"))[1]
     assert assets.asset("press-7").in_order == ()
+    assert assets.finding(finding).asset == "press-7"
+    assert assets.findings_of(assets.asset("press-7"), 5) == assets.findings_of_machine("press", 5) == []
 
 
 def test_an_asset_that_is_deleted_while_something_works_for_it(store: Store) -> None:

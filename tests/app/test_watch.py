@@ -282,9 +282,16 @@ def test_what_a_status_means(status: int, document: object, kind: type[Exception
         judge(status, json.dumps(document).encode())
 
 
-def test_what_takes_long_goes_on_where_the_service_says_so() -> None:
-    with pytest.raises(NotNowError, match="96 of 9984 cases"):
-        judge(504, b'{"detail": "96 of 9984 cases are simulated"}', goes_on=True)
+@pytest.mark.parametrize(("effort", "kind"), [("thorough", NotNowError), ("standard", FailedError)])
+def test_an_answer_of_effort_thorough_is_waited_for(
+    effort: str, kind: type[Exception], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answer = SimpleNamespace(status=504, read=lambda: b'{"detail": "96 of 9984 cases are simulated"}')
+    slow = SimpleNamespace(request=lambda *_: None, getresponse=lambda: answer, close=lambda: None)
+    destination = Destination("http://x", {"catalogue": "c", "effort": effort})
+    monkeypatch.setattr(Destination, "_connection", lambda _: slow)
+    with pytest.raises(kind, match="96 of 9984 cases"):
+        destination.send("a.csv", b"", "token")
 
 
 def test_an_effort_needs_a_catalogue(folder: Path) -> None:

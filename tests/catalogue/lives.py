@@ -13,12 +13,16 @@ import numpy as np
 
 from jointplay.catalogue.diagnosing.answer import Cause, Diagnosis, GoodnessOfFit, JointClearance, RankedHypothesis
 from jointplay.catalogue.diagnosing.answer_of_baseline import BaselineShown
+from jointplay.catalogue.following.follow import follow
 from jointplay.catalogue.following.play import JointBounds
-from jointplay.catalogue.following.visits import Visit
+from jointplay.catalogue.following.state import WearState
+from jointplay.catalogue.following.visits import Inspection, Visit
 from jointplay.catalogue.matching.prior import Prior
 
 JOINTS = ("A", "B", "O")
 BOUNDS = {joint: JointBounds(fit=(3e-6, 20e-6), worn_from=25e-6, limit=200e-6) for joint in JOINTS}
+NONE = dict.fromkeys(JOINTS, -6.0)
+AS_NEW = dict.fromkeys(JOINTS, 26e-6)
 SETS = [names for count in (0, 1, 2, 3) for names in itertools.combinations(JOINTS, count)]
 BEGIN = datetime(2025, 3, 1, 9, 30, tzinfo=UTC)
 _SOME = Diagnosis.model_validate(
@@ -80,3 +84,12 @@ def course_of_wear(clearances: list[Mapping[str, float]], seed: int, days: float
         found = {name: max(true[name], 26e-6) * math.exp(draw.normal(0.0, 0.09)) for name in JOINTS}
         visits.append(Visit(BEGIN + timedelta(days=days * number), f"{number:064d}", answer(evidence, found)))
     return visits
+
+
+def followed(visits: list[Visit], inspections: list[Inspection] | None = None) -> WearState:
+    return follow(visits, inspections or [], bounds=BOUNDS)
+
+
+def wears(count: int, begins: int = 8, um_a_visit: float = 15.0) -> list[dict[str, float]]:
+    """Clearances [m] of B that grows evenly from a visit on."""
+    return [{"A": 8e-6, "B": 1e-6 * (10 + um_a_visit * max(0, number - begins)), "O": 12e-6} for number in range(count)]

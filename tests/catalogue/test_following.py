@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from dataclasses import replace
@@ -10,40 +9,15 @@ from datetime import datetime, timedelta
 
 import numpy as np
 import pytest
-from lives import BEGIN, BOUNDS, JOINTS, answer, course_of_wear
+from lives import AS_NEW, BEGIN, BOUNDS, JOINTS, NONE, answer, course_of_wear, followed, wears
 
-from jointplay.catalogue.diagnosing.answer import Cause, SensorFlaw
+from jointplay.catalogue.diagnosing.answer import Cause
 from jointplay.catalogue.errors import DiagnosisError
-from jointplay.catalogue.following import follow as following
-from jointplay.catalogue.following import play
 from jointplay.catalogue.following.follow import follow
 from jointplay.catalogue.following.play import (
-    AXIS,
-    LIKELY_RATES,
-    RATES,
-    STEP,
     YEAR,
-    JointBounds,
-    bounds_of,
-    let_pass,
-    quantiles,
-    reach,
 )
-from jointplay.catalogue.following.state import CoursePoint, WearState
 from jointplay.catalogue.following.visits import Inspection, Visit
-from jointplay.solver.machines.machine import parse_machine, shipped_machine
-
-NONE = dict.fromkeys(JOINTS, -6.0)
-AS_NEW = dict.fromkeys(JOINTS, 26e-6)
-
-
-def followed(visits: list[Visit], inspections: list[Inspection] | None = None) -> WearState:
-    return follow(visits, inspections or [], bounds=BOUNDS)
-
-
-def wears(count: int, begins: int = 8, um_a_visit: float = 15.0) -> list[dict[str, float]]:
-    """Clearances [m] of B that grows evenly from a visit on."""
-    return [{"A": 8e-6, "B": 1e-6 * (10 + um_a_visit * max(0, number - begins)), "O": 12e-6} for number in range(count)]
 
 
 def test_wear_is_followed() -> None:
@@ -115,72 +89,6 @@ def test_what_others_were_sure_of_is_taken_back_by_what_is_as_sure() -> None:
         found.append(state.joints["B"].p_worn)
         assert state.joints["B"].moved_by == pytest.approx(found[-1] - known.p_worn, abs=0.05)
     assert found[0] > 0.95 and 0.2 < found[1] < 0.5 and found[2] < 0.15  # measured 0.98, 0.27, 0.06
-
-
-def test_silence_is_no_repair() -> None:
-    """A recording that says nothing, however late, leaves a joint that was surely worn rather worn than not."""
-    visits = course_of_wear(wears(20), 2)
-    flaw = SensorFlaw(kind="dead", sensors=("s1-x",), said="s1-x says nothing")
-    silent = visits[-1].answer.model_copy(update={"sensors": (flaw,)})
-    late = Visit(visits[-1].at + timedelta(days=700), "late", silent)
-    often = [Visit(visits[-1].at + timedelta(days=30 * number), str(number), silent) for number in range(1, 13)]
-    for quiet in ([late], often):
-        state = followed([*visits, *quiet])
-        assert state.joints["B"].p_worn > 0.8 and not state.repairs  # measured 0.87 and 0.90
-
-
-def test_a_repair_was_where_wear_fell_most() -> None:
-    """In odds: from nearly sure to sure it may have fallen before, too."""
-    course = [
-        CoursePoint(at=BEGIN + timedelta(days=day), p_worn=p, clearance_um=1, interval_um=(1, 1), foretold_um=(1, 1))
-        for day, p in enumerate((0.2, 0.95, 0.97, 0.88, 0.22, 0.3))
-    ]
-
-    def mended(course: list[CoursePoint]) -> datetime:
-        joint = following._Joint(BOUNDS["B"], course=course, acquitted=[True] * len(course))
-        return joint.when_mended()
-
-    assert mended(course) == BEGIN + timedelta(days=4)
-    assert mended([*course[:3], course[4]]) == BEGIN + timedelta(days=4)
-    assert mended([*course[:3], course[0], course[4]]) == BEGIN
-
-
-def test_a_repair_is_seen() -> None:
-    true = wears(20) + [{"A": 8e-6, "B": 9e-6, "O": 12e-6}] * 3
-    state = followed(course_of_wear(true, 3))
-    (repair,) = state.repairs
-    assert repair.joint == "B" and repair.probability > 0.5
-    assert repair.at == BEGIN + timedelta(days=30 * 20)
-    assert state.joints["B"].first_sure_at is None
-    assert state.joints["B"].clearance_um < 25.0
-
-
-def test_a_repair_that_is_known_counts_at_once() -> None:
-    visits = course_of_wear(wears(20), 4)
-    moment = visits[-1].at + timedelta(days=1)
-    state = followed(visits, [Inspection(moment, repaired=frozenset("B"))])
-    assert state.at == moment
-    assert state.joints["B"].p_worn < 0.01
-    assert [(repair.at, repair.joint, repair.probability) for repair in state.repairs] == [(moment, "B", 1.0)]
-
-
-def test_a_joint_that_was_measured_may_be_mended_without_a_word() -> None:
-    visits = course_of_wear(wears(20) + [{"A": 8e-6, "B": 9e-6, "O": 12e-6}] * 6, 3)
-    found = Inspection(visits[19].at + timedelta(days=1), {"B": 190e-6})
-    known, last = (followed(visits[:count], [found]).joints["B"] for count in (20, 26))
-    assert known.p_worn > 0.99
-    assert last.p_worn < 0.1
-
-
-def test_what_is_measured_by_hand_is_a_measurement_with_an_error() -> None:
-    visits = course_of_wear(wears(20), 5)
-    before = followed(visits).joints["B"]
-    measured = 0.9 * before.clearance_um
-    after = followed(visits, [Inspection(visits[-1].at, {"B": 1e-6 * measured})]).joints["B"]
-    assert measured < after.clearance_um < before.clearance_um
-    assert math.log(after.interval_um[1] / after.interval_um[0]) < math.log(
-        before.interval_um[1] / before.interval_um[0]
-    )
 
 
 def test_a_recording_that_the_machine_does_not_explain_says_little() -> None:
@@ -281,143 +189,10 @@ def test_clearances_beyond_the_grid_are_those_of_its_end(clearance: float, least
     assert least < found.clearance_um < most and found.p_worn > 0.9
 
 
-def test_what_is_measured_beyond_the_grid_is_its_end() -> None:
-    found = followed(course_of_wear(wears(12), 8), [Inspection(BEGIN + timedelta(days=340), {"B": 20e-3})]).joints["B"]
-    assert found.clearance_um > 4e3 and found.p_over_limit > 0.99
-
-
-def test_what_is_forgotten_was_not_mended() -> None:
-    """An answer sure of two joints and silent of the third lets this one's wear be forgotten; a repair is none."""
-    visits = course_of_wear(wears(20), 2)
-    silent = answer({"A": -6.0, "B": 0.0, "O": -6.0}, {**AS_NEW, "B": 150e-6})
-    later = [Visit(visits[-1].at + timedelta(days=30 * n), f"silent {n}", silent) for n in range(1, 5)]
-    state = followed([*visits, *later])
-    assert state.joints["B"].p_worn < 0.5 and not state.repairs
-    against = answer({"A": -6.0, "B": -6.0, "O": -6.0}, {**AS_NEW, "B": 150e-6})
-    at = visits[-1].at + timedelta(days=200)
-    mended = followed([*visits, *later, Visit(at, "against", against)])
-    assert [(repair.joint, repair.at) for repair in mended.repairs] == [("B", at)]
-    flaw = SensorFlaw(kind="dead", sensors=("s1-x",), said="s1-x says nothing")
-    silent = against.model_copy(update={"sensors": (flaw,)})
-    assert not followed([*visits, *later, Visit(at, "against", silent)]).repairs
-
-
-def test_what_is_found_at_one_moment_was_measured_before_it_was_mended() -> None:
-    visits, at = course_of_wear(wears(20), 2), BEGIN + timedelta(days=700)
-    apart = [Inspection(at, {"B": 30e-6}), Inspection(at, repaired=frozenset("B"))]
-    whole = followed(visits, [Inspection(at, {"B": 30e-6}, frozenset("B"))])
-    for found in (apart, apart[::-1]):
-        assert followed(visits, found).joints == whole.joints
-
-
 def test_one_recording_of_two_times_is_of_the_earlier() -> None:
     visits = course_of_wear(wears(12), 2)
     late = replace(visits[4], at=visits[4].at + timedelta(days=200))
     assert followed([*visits, late]) == followed([late, *visits]) == followed(visits)
-
-
-def test_repairs_are_in_the_order_of_time() -> None:
-    """One that is seen late is dated back, before one of which was told meanwhile."""
-    visits = course_of_wear(wears(20), 2)
-    weak = [answer({"A": sure, "B": -0.75, "O": sure}, {**AS_NEW, "B": 150e-6}) for sure in (0.0, -6.0)]
-    later = [Visit(visits[-1].at + timedelta(days=30 * n), f"weak {n}", each) for n, each in enumerate(weak, 1)]
-    told = Inspection(later[0].at + timedelta(days=1), repaired=frozenset("A"))
-    repairs = followed([*visits, *later], [told]).repairs
-    assert [(repair.joint, repair.at) for repair in repairs] == [("B", later[0].at), ("A", told.at)]
-
-
-def test_a_joint_found_sound_is_not_surely_worn() -> None:
-    visits = course_of_wear(wears(20), 8)
-    assert followed(visits).joints["B"].first_sure_at is not None
-    found = followed(visits, [Inspection(visits[-1].at + timedelta(days=1), {"B": 8e-6})]).joints["B"]
-    assert found.p_worn < 0.5 and found.first_sure_at is None
-
-
-def test_fits_beyond_what_is_followed_are_refused() -> None:
-    machine = shipped_machine("slider-crank")
-    assert bounds_of(machine, ["B"])["B"].fit == (3e-6, 20e-6)
-    with pytest.raises(DiagnosisError, match="joint Q: must be one of those of the machine, O, A, B"):
-        bounds_of(machine, ["Q"])
-    wide = parse_machine({**json.loads(machine.canonical_json()), "joints": {
-        name: {**joint, "fit": ["8 mm", "9 mm"], "limit": "50 mm"} if name == "B" else joint
-        for name, joint in json.loads(machine.canonical_json())["joints"].items()}})  # fmt: skip
-    with pytest.raises(DiagnosisError, match=r"joint B: fit 8000 to 9000 um: must be from 1 um to 2\.4 mm"):
-        bounds_of(wide, ["B"])
-
-
-def test_time_moves_a_clearance_by_its_rate_and_never_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(play, "JUMPS", 0.0)
-    belief = np.zeros((1, len(RATES), len(AXIS)))
-    start, rate = np.searchsorted(AXIS, math.log(50e-6)), 12
-    belief[0, rate, start] = 1.0
-    seconds = 40e-6 / RATES[rate]
-    later = let_pass(belief, seconds)
-    stayed = later[0, rate] / later[0, rate].sum()
-    # The mean between two points of the grid, in ln: off by less than the square of a step.
-    expected = math.exp(AXIS[start]) + 40e-6
-    assert float(stayed @ np.exp(AXIS)) == pytest.approx(expected, rel=STEP**2)
-    assert later.sum() == pytest.approx(1.0)
-    assert later[0, :, :start].sum() == 0.0
-    assert np.array_equal(let_pass(belief, 0.0), belief)
-
-
-@pytest.mark.parametrize("years", [0.3, 1.0, 3.0])
-def test_time_adds_up(years: float) -> None:
-    """What is believed after some time hardly depends on how often somebody looked.
-
-    Steps of a month, or of what is left of one, differ by 0.003 at the most, those of a day to nine by 0.012.
-    """
-    bounds = JointBounds((3e-6, 20e-6), 25e-6, 200e-6)
-    belief = np.where(bounds.worn & (AXIS < math.log(100e-6)), LIKELY_RATES[:, None], 0.0)
-    belief, mended = belief / belief.sum(), bounds.as_new()
-    whole = let_pass(belief, years * play.YEAR, mended)
-    apart = let_pass(let_pass(belief, 0.37 * years * play.YEAR, mended), 0.63 * years * play.YEAR, mended)
-    often = belief
-    for _ in range(120):
-        often = let_pass(often, years * play.YEAR / 120, mended)
-    for other, error in ((apart, 0.004), (often, 0.015)):
-        np.testing.assert_allclose(other.sum(axis=0).cumsum(), whole.sum(axis=0).cumsum(), atol=error)
-
-
-def test_joints_jump_now_and_then(monkeypatch: pytest.MonkeyPatch) -> None:
-    """By half of ln(clearance) in the mean; nothing leaves the grid."""
-    monkeypatch.setattr(play, "LIKELY_RATES", np.eye(len(RATES))[0])  # at rest, before and after
-    belief = np.zeros((2, len(RATES), len(AXIS)))
-    places = np.searchsorted(AXIS, np.log([50e-6, 5e-3]))
-    belief[range(2), 0, places] = 1.0
-    later = let_pass(belief, 0.5 / play.JUMPS)
-    assert later.sum(axis=(1, 2)) == pytest.approx([1.0, 1.0])
-    jumped = 1.0 - math.exp(-0.5)
-    assert later[0, 0] @ (AXIS - AXIS[places[0]]) == pytest.approx(0.5 * play.JUMP, rel=0.1)
-    assert later[0, 0, places[0]] == pytest.approx(1.0 - jumped, abs=0.05)
-    assert later[0, 0, : places[0]].sum() == 0.0
-    assert later[1, 0, -1] > 0.25
-    long = let_pass(belief, 8.0 / play.JUMPS)
-    for _ in range(15):
-        later = let_pass(later, 0.5 / play.JUMPS)
-    np.testing.assert_allclose(long.cumsum(axis=-1), later.cumsum(axis=-1), atol=0.02)
-
-
-def test_when_a_limit_is_reached(monkeypatch: pytest.MonkeyPatch) -> None:
-    """At the joint's rate, as far as it keeps that, and beside what all recordings have wrong alike."""
-    belief = np.zeros((2, len(RATES), len(AXIS)))
-    place = np.searchsorted(AXIS, math.log(50e-6))
-    belief[:, 10, place], belief[:, 0, place] = 0.6, 0.4
-    limits = np.array([200e-6, 40e-6])
-    shares = np.array([0.05, 0.5, 0.95])
-    seconds = (200e-6 - math.exp(AXIS[place])) / RATES[10]
-    over, changing = reach(belief, limits, 1e-3, shares)
-    assert over.tolist() == pytest.approx([0.0, 1.0], abs=1e-9)
-    assert changing[1].tolist() == [0.0, 0.0, 0.0]
-    assert changing[0, 0] < changing[0, 1] < changing[0, 2] < math.inf
-    monkeypatch.setattr(play, "CHANGES", 0.0)
-    monkeypatch.setattr(play, "JUMPS", 0.0)
-    _, steady = reach(belief, limits, 1e-3, shares)
-    assert steady[0, :2].tolist() == pytest.approx([seconds, seconds], rel=0.25)  # as far as moments are apart
-    assert math.isinf(steady[0, 2])
-    nearly, doubted = reach(belief, limits, 0.5, shares)
-    assert nearly[0] == pytest.approx(0.5 * math.erfc(math.log(200e-6 / math.exp(AXIS[place])) / 0.5 / math.sqrt(2.0)))
-    assert doubted[0, 0] < 0.7 * steady[0, 0]
 
 
 def test_what_answers_have_wrong_alike_many_of_them_do_not_cure() -> None:
@@ -436,14 +211,6 @@ def test_what_answers_have_wrong_alike_many_of_them_do_not_cure() -> None:
     later = [Visit(found.at + timedelta(hours=n), f"{99 + n:064d}", said[1]) for n in range(1, 9)]
     after = followed([*visits, *later], [found]).joints["B"]
     assert after.interval_um[0] > 0.7 * 250.0 and after.interval_um[1] < 1.4 * 250.0
-
-
-def test_quantiles_are_blurred_by_what_all_recordings_have_wrong() -> None:
-    marginal = np.zeros(len(AXIS))
-    marginal[120] = 1.0
-    low, middle, high = quantiles(marginal, np.array([0.05, 0.5, 0.95]), 0.2)
-    assert middle == pytest.approx(math.exp(AXIS[120]), rel=1e-9)
-    assert math.log(high / low) == pytest.approx(2 * 1.645 * 0.2, abs=2 * STEP**2 / 0.2)
 
 
 @pytest.mark.parametrize(
