@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
@@ -20,6 +20,7 @@ from jointplay.app.storage.repairs import is_between
 from jointplay.app.storage.rows import MeasurementRow
 from jointplay.app.storage.store import Store
 from jointplay.catalogue.diagnosing.question import MOST_TOGETHER
+from jointplay.catalogue.signals.sensors import match_by_name
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,7 @@ class Questions:
     def about_stored(self, request: DiagnosisRequest) -> tuple[list[MeasurementRow], Asked, DiagnosisRequest]:
         """Return the measurements that a request names, what else it names, and the request with what is remembered.
 
-        Which column is which sensor is taken from what was said of the asset's last recording with the same columns,
+        Which column is which sensor is taken from what was said of the asset's last recordings with the same columns,
         where the request does not say it.
 
         Raises
@@ -73,9 +74,9 @@ class Questions:
         """
         asked = self.about(request)
         rows = self.measurements_of(request, asked.asset)
-        columns = {frozenset(columns_of(row.summary)) for row in rows}
-        if len(columns) == 1 and self.may_remember(asked, request):
-            asked, request = self.with_remembered(asked, request, columns.pop())
+        if self.may_remember(asked, request):
+            columns = {frozenset(names): names for names in (columns_of(row.summary) for row in rows)}
+            asked, request = self.with_remembered(asked, request, *columns.values())
         return rows, asked, request
 
     def may_remember(self, asked: Asked, request: DiagnosisRequest) -> bool:
@@ -85,14 +86,32 @@ class Questions:
         return Remembered(self.store.database).has_mappings(asked.asset.external_id)
 
     def with_remembered(
-        self, asked: Asked, request: DiagnosisRequest, columns: Iterable[str]
+        self, asked: Asked, request: DiagnosisRequest, *columns: Sequence[str]
     ) -> tuple[Asked, DiagnosisRequest]:
-        """Return a question and its request with the sensors that the asset's last recording with the columns had."""
-        known = asked.asset and Remembered(self.store.database).mapping(asked.asset.external_id, columns)
-        if not known:
+        """Return a question and its request with the sensors that the asset's last recordings with these columns had.
+
+        Raises
+        ------
+        BadFieldError
+            When a column was one sensor in the last recording with some of the columns, and none or another one in the
+            last with others.
+        """
+        assert asked.asset is not None
+        mapping: dict[str, str] = {}
+        sensors: dict[str, str] = {}
+        for names in columns:
+            known = Remembered(self.store.database).mapping(asked.asset.external_id, names) or {}
+            mapping |= known
+            found = dict.fromkeys(names, "") | match_by_name(names, asked.offer.machine) | known
+            for name, sensor in found.items():
+                if sensors.setdefault(name, sensor) != sensor:
+                    said = " and ".join(sorted(each or "none" for each in (sensors[name], sensor)))
+                    rule = "must be given, or recordings be diagnosed each by itself"
+                    raise BadFieldError(f"mapping: column {name[:80]}: was sensor {said}: {rule}", field="mapping")
+        if not mapping:
             return asked, request
-        question = replace(asked.question, mapping=known)
-        return replace(asked, question=question, remembered=True), request.model_copy(update={"mapping": known})
+        question = replace(asked.question, mapping=mapping)
+        return replace(asked, question=question, remembered=True), request.model_copy(update={"mapping": mapping})
 
     def measurements_of(self, request: DiagnosisRequest, asset: AssetRow | None) -> list[MeasurementRow]:
         """Return the measurements that a request names, or those of its asset in a window of time.
@@ -178,7 +197,7 @@ class Questions:
         offer = self.shelf.find(request.catalogue)
         asset = self.asset_of(request.asset, offer.machine.name)
         in_order = [] if asset is None else self.baselines_of(asset, request.measurement)
-        baselines = tuple((str(self.store.path_of(row.sha256)), row.name, row.told) for row in in_order)
+        baselines = tuple(map(self.file_of, in_order))
         limits_um = {} if asset is None else asset.limits_um
         mapping, prior = dict(request.mapping), request.prior.model_dump()
         place = (str(offer.path), offer.stamp)
@@ -213,6 +232,11 @@ class Questions:
             with suppress(UnknownMeasurementError, DeletedError):  # it is on its way, with this question
                 own = self.store.measurement(measurement).sha256
         return [row for row in rows if row.sha256 != own]
+
+    def file_of(self, baseline: MeasurementRow) -> tasks.BaselineFile:
+        """Return what a worker needs to read a baseline."""
+        own = self.store.mapping_of(baseline.id)
+        return str(self.store.path_of(baseline.sha256)), baseline.name, baseline.told, own
 
 
 def columns_of(summary: Mapping[str, Any]) -> list[str]:

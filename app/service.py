@@ -246,6 +246,7 @@ class Service:
     ) -> NewDiagnosis:
         """Return a diagnosis as it is stored, with what is told of it, and remembered of its first recording."""
         measurements = request.measurements or [request.measurement or ""]
+        own = [dict(each) for *_, each in asked.question.baselines]
         mapping = None
         if "mapping" in request.model_fields_set:
             mapping = {column: sensor for column, sensor in request.mapping.items() if column in columns}
@@ -264,6 +265,7 @@ class Service:
             asked.offer.document,
             request.model_dump(mode="json")
             | {"baselines": list(asked.baselines), "limits_um": dict(asked.question.limits_um)}
+            | ({"baseline_mappings": own} if any(own) else {})
             | ({"mapping_remembered": True} if asked.remembered else {}),
             result,
             also,

@@ -16,7 +16,7 @@ from jointplay.app.storage.asset_rows import FindingRow
 from jointplay.app.storage.assets import Assets, diagnoses_of, measurements_of
 from jointplay.app.storage.repairs import is_between, repairs_of
 from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
-from jointplay.app.storage.standings import MOST_VISITS
+from jointplay.app.storage.standings import MOST_VISITS, made_once
 from jointplay.app.storage.store import Store
 
 if TYPE_CHECKING:
@@ -101,7 +101,7 @@ def gather(store: Store, asset: str, up_to: DiagnosisRow | None = None) -> Life:
     # Whoever diagnoses a recording for an asset notes it as one of the asset's.
     recordings = store.measurements(None, MOST_RECORDINGS, measurements_of(asset), gone=True)
     own = assets.findings_of(row, MOST_LESSONS)
-    made = _made(recordings)
+    made = made_once((each.id, each.sha256, each.measured_at, each.measured_at_source) for each in recordings)
     until = ENDLESS
     if up_to:
         until = max((made[key][1] for key in up_to.measurements if key in made), default=NEVER)
@@ -120,18 +120,6 @@ def gather(store: Store, asset: str, up_to: DiagnosisRow | None = None) -> Life:
         lessons=[(_without_evidence(answer), found.joints) for answer, found in _lessons(store, row.machine, until)],
         limits_um=latest.request.get("limits_um", {}) if up_to else row.limits_um,
     )
-
-
-def _made(recordings: Sequence[MeasurementRow]) -> dict[str, tuple[str, datetime]]:
-    """Return the bytes of recordings by their ids, and when they were made.
-
-    The same bytes by several names were made once: when somebody says, or else when they were first received.
-    """
-    made: dict[str, tuple[bool, datetime]] = {}
-    for each in recordings:
-        moment = (each.measured_at_source == "received", each.measured_at)
-        made[each.sha256] = min(made.get(each.sha256, moment), moment)
-    return {each.id: (each.sha256, made[each.sha256][1]) for each in recordings}
 
 
 def _counted(

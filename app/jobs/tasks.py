@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 
 Progress = Callable[[int, int], None]
 """Is told the number of cases done and their total."""
+
+BaselineFile = tuple[str, str, Told, Mapping[str, str]]
+"""Path, name and what is told of a recording of a machine in order; which column is which sensor, where it was said."""
 
 MOST = {"links": 64, "joints": 128, "sensors": 100}
 """Of what a machine may have how much: its check and its account then take some 15 s of a processor."""
@@ -53,8 +56,7 @@ class DiagnosisTask:
         Column to sensor.
     prior : Mapping
         Numbers of :class:`~jointplay.catalogue.matching.prior.Prior`.
-    baselines : tuple
-        Path, name and what is told of every recording of the machine in order.
+    baselines : tuple of BaselineFile
     limits_um : Mapping
         Its own limits by joint, in place of the machine's.
     """
@@ -66,7 +68,7 @@ class DiagnosisTask:
     mode: ModeAsked
     mapping: Mapping[str, str]
     prior: Mapping[str, Any]
-    baselines: tuple[tuple[str, str, Told], ...] = ()
+    baselines: tuple[BaselineFile, ...] = ()
     limits_um: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -181,7 +183,7 @@ def _asked(question: DiagnosisTask) -> dict[str, Any]:
         "mapping": question.mapping or None,
         "prior": Prior(**question.prior),
         "limits_um": question.limits_um,
-        "baseline": [in_order(*each) for each in question.baselines],
+        "baseline": [in_order(each, question.mapping) for each in question.baselines],
     }
 
 
@@ -315,17 +317,27 @@ def warm(catalogues: Sequence[tuple[str, str]]) -> int:
     return loaded
 
 
-def in_order(path: str, name: str, told: Told) -> Recording:
-    """Read a baseline, which has to be a recording over time."""
+def in_order(baseline: BaselineFile, mapping: Mapping[str, str] | None = None) -> Recording:
+    """Read a baseline, which has to be a recording over time.
+
+    What was said of its own columns holds, whatever columns of these names are in what is compared with it, `mapping`;
+    that these are others is told.
+    """
     from jointplay.catalogue.measurements.measurement import read_measurement
 
-    return read_measurement(
+    path, name, told, own = baseline
+    found = read_measurement(
         read_bytes(path),
         name=name,
         sample_rate=told.sample_rate_hz,
         units=told.units or None,
         profile=told.import_profile,
     )
+    others = ", ".join(column for column, sensor in own.items() if (mapping or {}).get(column, sensor) != sensor)
+    if others:
+        said = f"column {others}: is another sensor here than in what is compared with it, as was said of it"
+        found = replace(found, warnings=(*found.warnings, said))
+    return found.renamed(own)
 
 
 @lru_cache(maxsize=4)

@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jointplay.app.jobs.tasks import in_order, open_catalogue
+from jointplay.app.jobs.tasks import BaselineFile, in_order, open_catalogue
 from jointplay.app.pages.understanding import RPM
-from jointplay.app.storage.told import Told
 from jointplay.catalogue.signals.shown_matched import nearest_rows, trusted_rows
 from jointplay.solver.spectra.bands import BandScheme
 
@@ -35,7 +34,7 @@ def nearest(
     clearance: float,
     quantity: Quantity,
     scaling: Scaling,
-    baseline: tuple[str, str, Told] | None = None,
+    baseline: BaselineFile | None = None,
 ) -> dict[str, Any]:
     """Return the entry that is nearest to a clearance, beside the entries of a machine in order.
 
@@ -49,7 +48,7 @@ def nearest(
         Radial, of every worn joint, m, greater than 0.
     quantity, scaling : str
         Of the levels.
-    baseline : (str, str, Told), optional
+    baseline : BaselineFile, optional
         Path, name and what is told of a recording of a machine in order, to be shown, too.
 
     Returns
@@ -126,14 +125,14 @@ def _family(matrix: FeatureMatrix, rows: Any, worn: list[int]) -> list[tuple[flo
     return found
 
 
-def _measured(catalogue: Catalogue, baseline: tuple[str, str, Told]) -> tuple[dict[str, tuple[FloatArray, float]], str]:
+def _measured(catalogue: Catalogue, baseline: BaselineFile) -> tuple[dict[str, tuple[FloatArray, float]], str]:
     """Power in bands and drive speed [rad/s] of a recording, by motion of the frame; or why there is none."""
     from jointplay.catalogue.errors import MeasurementError
     from jointplay.catalogue.signals.features import prepare
 
     try:
         found = prepare(
-            in_order(*baseline),
+            in_order(baseline),
             catalogue.machine,
             scheme=catalogue.scheme,
             nominal=catalogue.recipe.nominal_drive_speed,

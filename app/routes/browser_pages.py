@@ -13,6 +13,7 @@ from jointplay.app.errors import BadFieldError
 from jointplay.app.figures.pictures import machine_picture
 from jointplay.app.http.handlers import is_fragment, note, problem_from, templates
 from jointplay.app.jobs.quality_cards import joint_cells, quality_line
+from jointplay.app.jobs.tasks import BaselineFile
 from jointplay.app.pages import browsing
 from jointplay.app.pages.page_forms import messages_of, quantity_of
 from jointplay.app.routes.pages import KNOWN_ASSETS, REFUSALS, context
@@ -21,7 +22,6 @@ from jointplay.app.rows import NAMES, length, micrometres, order
 from jointplay.app.service import Service, of_request
 from jointplay.app.shelves.catalogues import Offer
 from jointplay.app.storage.assets import Assets
-from jointplay.app.storage.told import Told
 from jointplay.solver.machines.drawing import machine_svg
 from jointplay.solver.machines.units import LENGTH
 from jointplay.solver.spectra.spectrum import Quantity, Scaling, frame_units, value_units
@@ -102,7 +102,7 @@ def with_baseline(service: Service, offer: Offer) -> list[str]:
     return [each.external_id for each in assets if each.machine == offer.machine.name and each.in_order]
 
 
-def baseline_of(service: Service, offer: Offer, asset: str) -> tuple[str, str, Told] | None:
+def baseline_of(service: Service, offer: Offer, asset: str) -> BaselineFile | None:
     """Return the recording of an asset in order; None for no asset.
 
     Raises
@@ -116,7 +116,7 @@ def baseline_of(service: Service, offer: Offer, asset: str) -> tuple[str, str, T
     found = service.questions.baselines_of(row, None)
     if not found:
         raise BadFieldError(f"asset: {asset[:80]}: has no baseline", field="asset")
-    return str(service.store.path_of(found[0].sha256)), found[0].name, found[0].told
+    return service.questions.file_of(found[0])
 
 
 async def show_nearest(service: Service, offer: Offer, chosen: dict[str, str]) -> dict[str, Any]:

@@ -6,7 +6,7 @@ what is told of it. So a server that is killed loses nothing, and of two that ju
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Any
@@ -21,7 +21,15 @@ from jointplay.app.storage.assets import NEEDED, diagnoses_of, measurements_of, 
 from jointplay.app.storage.audit import note
 from jointplay.app.storage.database import ServiceDatabase
 from jointplay.app.storage.repairs import is_between, repairs_of
-from jointplay.app.storage.rows import UNREADABLE, DiagnosisRow, MeasurementRow, is_passing, newest, now, rows_of
+from jointplay.app.storage.rows import (
+    UNREADABLE,
+    DiagnosisRow,
+    MeasurementRow,
+    is_passing,
+    newest,
+    now,
+    rows_of,
+)
 from jointplay.app.storage.webhooks import announce
 from jointplay.catalogue.following.standing import (
     RECORDINGS,
@@ -220,7 +228,27 @@ def moments_of(session: Session, external_id: str) -> dict[str, datetime]:
     DamagedRowError
     """
     query = select(MeasurementRow).where(MeasurementRow.id.in_(measurements_of(external_id)))
-    return dict(read_columns(session, query, MeasurementRow.id, MeasurementRow.measured_at))
+    columns = (MeasurementRow.id, MeasurementRow.sha256, MeasurementRow.measured_at, MeasurementRow.measured_at_source)
+    return {key: moment for key, (_, moment) in made_once(read_columns(session, query, *columns)).items()}
+
+
+def made_once(recordings: Iterable[tuple[str, str, datetime, str]]) -> dict[str, tuple[str, datetime]]:
+    """Return the bytes of recordings by their ids, and when they were made.
+
+    The same bytes by several names were made once: when somebody says, or else when they were first received.
+
+    Parameters
+    ----------
+    recordings : iterable of (str, str, datetime, str)
+        Id, checksum of the bytes, and of each name when it was made, and who says that.
+    """
+    made: dict[str, tuple[bool, datetime]] = {}
+    bytes_of = {}
+    for key, sha256, at, source in recordings:
+        moment = (source == "received", at)
+        made[sha256] = min(made.get(sha256, moment), moment)
+        bytes_of[key] = sha256
+    return {key: (sha256, made[sha256][1]) for key, sha256 in bytes_of.items()}
 
 
 def recordings_of(session: Session, external_id: str) -> dict[int, list[str]]:

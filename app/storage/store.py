@@ -38,6 +38,9 @@ from jointplay.app.storage.tombstones import TombstoneRow, deleted, dig_up, miss
 from jointplay.app.storage.uploads import Upload, Uploads
 from jointplay.catalogue.diagnosing.answer import Diagnosis
 
+MOST_ASKED = 100
+"""Diagnoses of a measurement that are looked at for what was said of its columns, the newest so many."""
+
 
 @dataclass(frozen=True)
 class NewDiagnosis:
@@ -238,6 +241,15 @@ class Store:
         """Return the measurement of a diagnosis, of several the first; also when it was deleted."""
         with self._session() as session:
             return session.scalars(select(MeasurementRow).filter_by(id=diagnosis.measurement)).one()
+
+    def mapping_of(self, measurement: str) -> dict[str, str]:
+        """Return which column is which sensor in a measurement, as was said when it was last diagnosed by itself."""
+        query = select(DiagnosisRow.request).where(DiagnosisRow.measurement == measurement)
+        with self._session() as session:
+            for request in session.scalars(query.order_by(DiagnosisRow.number.desc()).limit(MOST_ASKED)):
+                if request.get("mapping") and not request.get("measurements"):
+                    return dict(request["mapping"])
+        return {}
 
     def deleted_of(self, diagnosis: DiagnosisRow) -> list[str]:
         """Return which of the measurements of a diagnosis were deleted."""

@@ -55,8 +55,7 @@ def beside_past(
     With the loudest noise and the shortest length of all; earlier ones count by their mean. None where no other is by
     the same sensors in the same bands.
     """
-    alike = (each for each in past if view_of(each) == view_of(prepared) and each.cuts == prepared.cuts)
-    before = [each for each in alike if not each.flaws]
+    before = [each for each in past if view_of(each) == view_of(prepared) and each.cuts == prepared.cuts]
     if not before:
         return None
     sensing = common_sensing([prepared, *before])

@@ -62,8 +62,8 @@ class KnownMachine:
         Of the catalogue that it was fitted by; `progress` is called with the number of cases done and their total.
         """
         if not self._told:
-            earlier = [self.baseline.correct(each, catalogue.machine) for each in self.past if not each.flaws]
-            self._told.append(tell_numbers(earlier, catalogue, progress) if earlier else (None, None))
+            earlier = [self.baseline.correct(each, catalogue.machine) for each in self.past]
+            self._told.append(tell_numbers(earlier, catalogue, progress))
         return self._told[0]
 
     def describe(self, *, heard: bool) -> BaselineShown:

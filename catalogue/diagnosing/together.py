@@ -17,7 +17,7 @@ from jointplay.catalogue.diagnosing.hearing import hear
 from jointplay.catalogue.diagnosing.known_machine import KnownMachine, recordings_in_order
 from jointplay.catalogue.diagnosing.question import MOST_TOGETHER, Question
 from jointplay.catalogue.diagnosing.telling import tell
-from jointplay.catalogue.diagnosing.verdict import SURE_ABOVE, judge, needs_cause
+from jointplay.catalogue.diagnosing.verdict import SURE_ABOVE, judge, needs_cause, past_warnings
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.matching.matcher import MatchResult
 from jointplay.catalogue.matching.model_library import ModelLibrary, library_of
@@ -76,7 +76,8 @@ def diagnose_together(
     MeasurementError
         A recording cannot be compared.
     DiagnosisError
-        A setting breaks a rule, there are no or too many recordings, or the catalogue holds too little.
+        A setting breaks a rule, there are no or too many recordings, one of several is the baseline, or the catalogue
+        holds too little.
     """
     question = Question(effort, mode, coverage, cases, prior or Prior(), limits_um or {}, progress)
     question.prior.check(catalogue.matrix.joints)
@@ -96,13 +97,18 @@ def diagnose_together(
         return {name: said for name, said in (mapping or {}).items() if name in names or name not in columns}
 
     scale = (catalogue.scheme, catalogue.recipe.nominal_drive_speed, catalogue.drive_speeds)
-    known = None
-    if in_order:
-        past = {key: prepare(each, catalogue.machine, own(each), None, *scale) for key, each in in_order.items()}
-        known = KnownMachine.of(past, catalogue)
+    warnings = [f"{len(recordings) - len(different)} given twice: counted once"] * (len(different) < len(recordings))
+    for recording, _ in different:
+        if in_order.pop(recording.sha256, None):
+            if len(different) > 1:
+                raise DiagnosisError(f"baseline: {recording.name}: must be none of those that are compared with it")
+            warnings.append(f"baseline {recording.name}: is what is diagnosed: left out")
+    past = {key: prepare(each, catalogue.machine, own(each), None, *scale) for key, each in in_order.items()}
+    warnings += past_warnings(list(past.values()), catalogue)
+    usable = {key: each for key, each in past.items() if not each.flaws}
+    known = KnownMachine.of(usable, catalogue) if usable else None
     shelf = library or library_of(catalogue)
     heard = []
-    warnings = [f"{len(recordings) - len(different)} given twice: counted once"] * (len(different) < len(recordings))
     for recording, speed in different:
         cut = Cut((recording,))
         if speed is None:

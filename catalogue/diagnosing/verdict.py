@@ -122,7 +122,7 @@ def find_causes(
             return ()
     found = name_causes(prepared, catalogue, worn, small=needs_cause(result))
     if found:
-        steady = [each for each in earlier if not each.flaws and not speed_warnings(each, catalogue)]
+        steady = [each for each in earlier if not speed_warnings(each, catalogue)]
         had = [cause for each in steady for cause in explain_as_well(each, catalogue)]
         return tuple(cause for cause in found if not any(_is_like(cause, each) for each in had))
     # Beside wear it has not been measured.
@@ -209,6 +209,17 @@ def speed_warnings(prepared: PreparedMeasurement, catalogue: Catalogue) -> list[
     if 0.999 * low <= rpm <= 1.001 * high:
         return []
     return [f"drive speed {rpm:.4g} rpm lies outside the catalogue's {low:.4g} to {high:.4g} rpm"]
+
+
+def past_warnings(past: Sequence[PreparedMeasurement], catalogue: Catalogue) -> list[str]:
+    """Tell what is to be said of recordings of the machine in order, each thing once."""
+    said: dict[str, list[str]] = {}
+    for each in past:
+        flawed = [f"{flaw.text}: left out" for flaw in each.flaws]
+        texts = {flaw.text for flaw in each.flaws}
+        for line in (*flawed, *(line for line in each.warnings if line not in texts), *speed_warnings(each, catalogue)):
+            said.setdefault(line, []).append(each.name)
+    return [f"baseline {', '.join(names)}: {line}" for line, names in said.items()]
 
 
 def number_warnings(baseline: Baseline, catalogue: Catalogue) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 
 import httpx
@@ -19,17 +20,21 @@ UNITS = "m/s2"
 CATALOGUE = {"catalogue": "slider-crank", "effort": "fast"}
 
 
-def renamed(number: int) -> tuple[bytes, dict[str, str]]:
-    """A recording whose columns are called like no sensor and have no unit; and which sensor each is."""
+def renamed(number: int, name: str = "ch", step: int = 1) -> tuple[bytes, dict[str, str]]:
+    """A recording whose columns are called like no sensor and have no unit; and which sensor each is.
+
+    Their numbers fall with a step of -1, as of sensors that were plugged in the other way.
+    """
     head, _, rest = unpacked(f"slider-crank-{number:02}.csv").decode().partition("\n")
     time, *columns = head.split(",")
     names = [re.sub(r" *\[.*", "", column).strip() for column in columns]
-    called = [f"ch{place}" for place in range(len(names))]
+    called = [f"{name}{place}" for place in range(len(names))][::step]
     return "\n".join([",".join([time, *called]), rest]).encode(), dict(zip(called, names, strict=True))
 
 
-def send(client: httpx.Client, asset: str, number: int, **said: object) -> httpx.Response:
-    content, _ = renamed(number)
+def send(client: httpx.Client, asset: str, number: int, name: str = "ch", step: int = 1, **said: str) -> httpx.Response:
+    """Have a recording diagnosed; what is said of it besides is a form, or how its columns are called."""
+    content, _ = renamed(number, name, step)
     form = {**CATALOGUE, "asset": asset, **said}
     return client.post(f"{API}/diagnoses", files={"file": (f"{number}.csv", content)}, data=form)
 
@@ -94,6 +99,46 @@ def test_the_page_shows_it_and_it_can_be_changed(client: httpx.Client, confirmed
     page = client.get(sent.headers["location"]).text
     assert re.search(rf'name="sensor-{last}"[^>]*>\s*<option value="-" selected>', page)
     assert client.post("/diagnose", data={**form, **sensors}).status_code == 303
+
+
+def test_a_baseline_keeps_its_sensors_when_they_are_plugged_in_otherwise(client: httpx.Client) -> None:
+    asset = "plugged-otherwise"
+    client.put(f"{API}/assets/{asset}", json={"machine": "slider-crank"}).raise_for_status()
+    said = {"units": UNITS, "mapping": json.dumps(renamed(1)[1])}
+    first = send(client, asset, 1, **said).json()
+    wanted = {"machine": "slider-crank", "baselines": [first["measurement"]]}
+    client.put(f"{API}/assets/{asset}", json=wanted).raise_for_status()
+    as_before = send(client, asset, 2, **said).json()
+    assert as_before["baseline"] is not None
+    otherwise = send(client, asset, 2, step=-1, units=UNITS, mapping=json.dumps(renamed(2, step=-1)[1])).json()
+    for member in ("verdict", "hypotheses", "past", "baseline"):
+        assert otherwise[member] == as_before[member]
+    (told,) = set(otherwise["warnings"]) - set(as_before["warnings"])
+    assert re.fullmatch("baseline 1.csv: column ch0, ch1, ch2, ch3: is another sensor here .*, as was said of it", told)
+    again = client.get(f"{API}/diagnoses/{otherwise['id']}/verification").json()
+    assert again["repeated"] == "equal", again
+
+
+def test_recordings_with_different_columns_have_one_answer_by_what_was_said_of_each(client: httpx.Client) -> None:
+    asset = "two-loggers"
+    client.put(f"{API}/assets/{asset}", json={"machine": "slider-crank"}).raise_for_status()
+    keys = []
+    for number, name in ((2, "ch"), (3, "line")):
+        mapping = json.dumps(renamed(number, name)[1])
+        keys.append(send(client, asset, number, name, units=UNITS, mapping=mapping).json()["measurement"])
+    together = {**CATALOGUE, "asset": asset, "measurements": keys}
+    answer = client.post(f"{API}/diagnoses", json=together)
+    assert answer.status_code == 201, answer.text
+    assert answer.json()["mapping"] == renamed(2)[1] | renamed(3, "line")[1]
+    # Beside one whose columns of the same names are other sensors nothing is guessed.
+    content, _ = renamed(4, step=-1)
+    head, *rows = content.rstrip().split(b"\n")
+    content = b"\n".join([head + b",more", *(row + b",%d" % (place % 7) for place, row in enumerate(rows))])
+    form = {**CATALOGUE, "asset": asset, "units": UNITS, "mapping": json.dumps(renamed(4, step=-1)[1])}
+    other = client.post(f"{API}/diagnoses", files={"file": ("4.csv", content)}, data=form).json()
+    together["measurements"] = [keys[0], other["measurement"]]
+    refused = client.post(f"{API}/diagnoses", json=together)
+    assert_problem(refused, 422, "mapping: column ch3: was sensor s1-x and s2-y: must be given")
 
 
 def test_what_was_said_last_is_kept_in_every_database(store: Store) -> None:

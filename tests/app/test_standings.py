@@ -320,6 +320,20 @@ def test_the_last_of_several_recordings_says_which_answer_is_the_last(stores: li
     assert heard(store) == (single, february), "those of before and after a repair are of no state"
 
 
+def test_a_recording_that_was_sent_by_two_names_was_made_once(stores: list[Store]) -> None:
+    store = stores[0]
+    put(store, "press-1")
+    january, february = (NOW - timedelta(days=days) for days in (90, 60))
+    first, other = stored(store, b"1"), stored(store, b"2")
+    store.correct_moment(first.id, january)
+    store.correct_moment(other.id, february)
+    diagnosed(store, first, asset="press-1")
+    last = diagnosed(store, other, asset="press-1")
+    diagnosed(store, stored(store, b"1", "again.csv"), asset="press-1")
+    assert heard(store) == (last, february)
+    assert Standings(store.database).last_heard("press-1")[0] == february, "it was not heard when it was sent again"
+
+
 @pytest.mark.parametrize(("column", "value"), [("request", "{}"), ("made_by", "somebody else")])
 def test_which_row_is_damaged_is_told_where_the_last_answer_is_sought(
     stores: list[Store], column: str, value: str

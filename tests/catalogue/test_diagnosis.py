@@ -21,6 +21,7 @@ from jointplay.catalogue.diagnosing.answer_of_baseline import FittedNumber
 from jointplay.catalogue.diagnosing.baseline import Baseline
 from jointplay.catalogue.diagnosing.diagnosis import diagnose
 from jointplay.catalogue.diagnosing.joint_states import edge_warnings
+from jointplay.catalogue.diagnosing.together import diagnose_together
 from jointplay.catalogue.diagnosing.verdict import number_warnings
 from jointplay.catalogue.errors import DiagnosisError, MeasurementError
 from jointplay.catalogue.evaluation.cross_checks import MethodLibrary
@@ -234,6 +235,31 @@ def test_a_recording_of_the_machine_in_order_takes_gain_errors_out(small_catalog
     true = gains * np.array(TRUTH["slider-crank-01"]["gain"])
     assert np.corrcoef(np.log(fitted), np.log(true))[0, 1] > 0.9
     assert found.id != diagnose(by_wrong_sensors(2), small_catalogue).id
+
+
+def test_a_baseline_whose_sensors_contradict_each_other_is_left_out_and_its_warnings_are_told(
+    small_catalogue: Catalogue, worn: Diagnosis
+) -> None:
+    sound = recording(1)
+    wrong = replace(sound, signal=sound.signal * [-1.0, -1.0, 1.0, 1.0], name="inverted", sha256="1" * 64)
+    found = diagnose(recording(2), small_catalogue, baseline=[wrong])
+    assert found.baseline is None and found.past is None and found.hypotheses == worn.hypotheses
+    (told,) = (line for line in found.warnings if line.startswith("baseline"))
+    assert told.startswith("baseline inverted: sensors s1-x, s1-y") and told.endswith(": left out")
+    short = replace(sound, signal=sound.signal[:5000], name="short", sha256="2" * 64)
+    shorter = replace(sound, signal=sound.signal[:4999], name="shorter", sha256="3" * 64)
+    found = diagnose(recording(2), small_catalogue, baseline=[wrong, short, shorter])
+    assert found.baseline is not None and found.baseline.measurement == "short" and len(found.baseline.further) == 1
+    (few,) = (line for line in found.warnings if "revolutions" in line)
+    assert few.startswith("baseline short, shorter: only ")
+
+
+def test_a_recording_is_not_compared_with_itself(small_catalogue: Catalogue, worn: Diagnosis) -> None:
+    found = diagnose(recording(2), small_catalogue, baseline=[recording(2)])
+    assert found.baseline is None and found.hypotheses == worn.hypotheses
+    assert f"baseline {recording(2).name}: is what is diagnosed: left out" in found.warnings
+    with pytest.raises(DiagnosisError, match=r"^baseline: slider-crank-02.*: must be none of those that are compared"):
+        diagnose_together([recording(2), recording(3)], small_catalogue, baseline=recording(2))
 
 
 def test_what_would_tell_hypotheses_apart_is_said_where_they_are_not(small_catalogue: Catalogue) -> None:

@@ -24,7 +24,6 @@ from jointplay.catalogue.matching.observation import Sensing
 from jointplay.catalogue.plans.parameters import LOAD, MachineNumbers
 from jointplay.catalogue.plans.variants import Variant, output_load
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
-from jointplay.catalogue.signals.sensor_flaws import SensorContradiction
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.arrays import BoolArray, FloatArray
 from jointplay.solver.cases.case import Case
@@ -302,12 +301,11 @@ def test_what_explains_the_baseline_as_well_is_its_own_unless_it_is_much_more_or
             assert not alone or tuple(each.name for each in found) == kept
 
 
-def test_a_past_by_other_sensors_or_with_flaws_is_not_heard(visits: dict[str, PreparedMeasurement]) -> None:
+def test_a_past_by_other_sensors_is_not_heard(visits: dict[str, PreparedMeasurement]) -> None:
     now, before = visits["softer"], visits["first"]
     assert beside_past(now, [before]) is not None
     fewer = dataclasses.replace(before, cuts=before.cuts[:-1])
-    flaw = SensorContradiction("dead", ("s1-x",), "s1-x says nothing")
-    assert beside_past(now, [fewer, dataclasses.replace(before, flaws=(flaw,))]) is None
+    assert beside_past(now, [fewer]) is None
     both = beside_past(now, [fewer, before])
     alone = beside_past(now, [before])
     assert both is not None and alone is not None
