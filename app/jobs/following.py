@@ -13,7 +13,7 @@ from sqlalchemy import select
 
 from jointplay.app.errors import NothingToFollowError
 from jointplay.app.storage.asset_rows import FindingRow
-from jointplay.app.storage.assets import Assets, diagnoses_of, measurements_of
+from jointplay.app.storage.assets import Assets, asked, diagnoses_of, measurements_of
 from jointplay.app.storage.repairs import is_between, repairs_of
 from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
 from jointplay.app.storage.standings import MOST_VISITS, made_once
@@ -71,9 +71,10 @@ class Life:
 def gather(store: Store, asset: str, up_to: DiagnosisRow | None = None) -> Life:
     """Return what is known of an asset, or what was recorded and found up to the recording of a diagnosis.
 
-    Every recording counts once, by its bytes: in the newest answer that several have together, or else in its own; in a
-    common answer without a verdict, as where recordings contradict each other, only if it has none of its own. One that
-    is common to recordings of before and after a repair does not count: it is of no state that the machine was in.
+    Every recording counts once, by its bytes: in the answer that was asked for last, of those that several have
+    together, or else of its own; in a common answer without a verdict, as where recordings contradict each other, only
+    if it has none of its own. One that is common to recordings of before and after a repair does not count: it is of no
+    state that the machine was in.
 
     Parameters
     ----------
@@ -98,6 +99,9 @@ def gather(store: Store, asset: str, up_to: DiagnosisRow | None = None) -> Life:
     diagnoses = store.diagnoses(None, MOST_VISITS, among=diagnoses_of(asset))
     if not diagnoses:
         raise NothingToFollowError(f"asset {asset}: none of its recordings was diagnosed yet", field="asset")
+    with store.database.reading() as session:
+        turns = asked(session, asset)
+    diagnoses.sort(key=lambda each: turns[each.id], reverse=True)
     # Whoever diagnoses a recording for an asset notes it as one of the asset's.
     recordings = store.measurements(None, MOST_RECORDINGS, measurements_of(asset), gone=True)
     own = assets.findings_of(row, MOST_LESSONS)
@@ -128,7 +132,7 @@ def _counted(
     """Return the answers that count, each with the moment and the name of what it is of."""
     heard: set[str] = set()
     counted: list[tuple[datetime, str, DiagnosisRow]] = []
-    for answer in sorted(diagnoses, key=_turn):  # the newest of each kind first
+    for answer in sorted(diagnoses, key=_turn):  # what was asked last first of each kind
         moments = {made[key] for key in answer.measurements if key in made}
         bytes_of = sorted(sha256 for sha256, _ in moments)
         at = [moment for _, moment in moments]

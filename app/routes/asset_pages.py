@@ -31,7 +31,7 @@ from jointplay.app.schemas.resources import DiagnosisRequest
 from jointplay.app.scopes import Scope
 from jointplay.app.service import Service, of_request
 from jointplay.app.storage.asset_rows import AssetRow
-from jointplay.app.storage.assets import Assets, diagnoses_of, measurements_of
+from jointplay.app.storage.assets import Assets, asked, diagnoses_of, measurements_of
 from jointplay.app.storage.repairs import is_between, repairs_of
 from jointplay.app.storage.rows import Damaged, DiagnosisRow, MeasurementRow, now
 from jointplay.app.storage.standings import Standings
@@ -278,10 +278,12 @@ def past(service: Service, external_id: str, cursor: str | None) -> dict[str, An
     colours, drawn = dict[str, float](), ""
     if diagnoses and cursor is None:
         mended = repairs_of(findings)
+        with store.database.reading() as session:
+            turns = asked(session, external_id)
 
-        def turn(each: DiagnosisRow) -> tuple[bool, datetime, int]:
+        def turn(each: DiagnosisRow) -> tuple[bool, datetime, tuple[datetime, int]]:
             moments = [measurements[key].measured_at for key in each.measurements]
-            return not is_between(mended, moments), max(moments), each.number
+            return not is_between(mended, moments), max(moments), turns[each.id]
 
         last = max(diagnoses, key=turn)
         since = [each.joints for each in findings if each.at > measured(last, measurements)]
@@ -289,7 +291,9 @@ def past(service: Service, external_id: str, cursor: str | None) -> dict[str, An
         colours = {name: share for name, share in joint_colours(last.answer).items() if name not in repaired}
         drawn = colour_sentence(last.answer) + (f" Repaired since: {', '.join(sorted(repaired))}." if repaired else "")
     offered = [each.description.name for each in service.shelf.offers() if each.machine.name == row.machine]
-    asked = [each.answer.catalogue for each in diagnoses]  # the newest first: what comes next is compared with the same
+    compared = [
+        each.answer.catalogue for each in diagnoses
+    ]  # the newest first: what comes next is compared with the same
     machine = service.machine_of(row.machine)
     wearing = () if machine is None else machine.wearing_joints
     limits = [(name, f"{1e6 * machine.joints[name].worn_out_from:.4g}") for name in wearing] if machine else []
@@ -311,7 +315,7 @@ def past(service: Service, external_id: str, cursor: str | None) -> dict[str, An
         "history": history(diagnoses, measurements, findings[:SHOWN]),
         "more_findings": len(findings) > SHOWN,
         "catalogues": offered,
-        "catalogue": next((name for name in (*asked, *offered) if name in offered), None),
+        "catalogue": next((name for name in (*compared, *offered) if name in offered), None),
         "damaged": {each.problem: each for each in damaged}.values(),
         "following": following,
         "first": cursor is None,

@@ -119,6 +119,7 @@ class AssetDiagnosisRow(Base):
 
     diagnosis: Mapped[str] = mapped_column(ForeignKey("diagnoses.id"), primary_key=True)
     asset: Mapped[str] = mapped_column(ForeignKey("assets.external_id"), index=True)
+    asked_again_at: Mapped[datetime | None]
 
 
 class FindingRow(Sealed, Base):

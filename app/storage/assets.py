@@ -192,6 +192,8 @@ class Assets:
     def note(self, session: Session, external_id: str, measurements: Iterable[str], diagnosis: str) -> bool:
         """Note in a transaction that a diagnosis, and what it is of, belong to an asset; return whether that is new.
 
+        One that was asked before, but not last, counts as the newest, which is new as well.
+
         Raises
         ------
         UnknownAssetError
@@ -203,6 +205,10 @@ class Assets:
         row = {"asset": external_id, "diagnosis": diagnosis}
         insert = self._database.insert(AssetDiagnosisRow).values(row).on_conflict_do_nothing()
         is_new = session.execute(insert.returning(AssetDiagnosisRow.asset)).first() is not None
+        if not is_new and (turns := asked(session, external_id))[diagnosis] < max(turns.values()):
+            is_new = True
+            again = update(AssetDiagnosisRow).where(AssetDiagnosisRow.diagnosis == diagnosis)
+            session.execute(again.values(asked_again_at=now()))
         if is_new:
             touch(session, AssetRow.external_id == external_id)
         return is_new
@@ -419,6 +425,16 @@ def touch_taught(session: Session, measurement: str) -> None:
 def measurements_of(external_id: str) -> Select[str]:
     """Return the query for the ids of an asset's measurements."""
     return select(AssetMeasurementRow.measurement).where(AssetMeasurementRow.asset == external_id)
+
+
+def asked(session: Session, external_id: str) -> dict[str, tuple[datetime, int]]:
+    """Return the order in which an asset's diagnoses were asked, by their ids: when that was last, and the row."""
+    at = func.coalesce(AssetDiagnosisRow.asked_again_at, DiagnosisRow.created_at, type_=DiagnosisRow.created_at.type)
+    query = select(DiagnosisRow.id, at, DiagnosisRow.number).join(
+        AssetDiagnosisRow, AssetDiagnosisRow.diagnosis == DiagnosisRow.id
+    )
+    found = session.execute(query.where(AssetDiagnosisRow.asset == external_id))
+    return {key: (moment, number) for key, moment, number in found}
 
 
 def diagnoses_of(external_id: str) -> Select[str]:

@@ -38,7 +38,7 @@ from jointplay.catalogue.errors import CatalogueFileError
 from jointplay.catalogue.storage import database
 from jointplay.catalogue.storage.database import Database
 
-REVISION = "6"
+REVISION = "7"
 """The newest revision in :mod:`jointplay.app.migrations`."""
 
 VERSION_TABLE = "service_revision"

@@ -17,7 +17,7 @@ from sqlalchemy.orm import Session
 from jointplay.app.errors import BadFieldError, DamagedRowError
 from jointplay.app.schemas.assets import Acknowledged, StandingOut
 from jointplay.app.storage.asset_rows import AssetRow, FindingRow
-from jointplay.app.storage.assets import NEEDED, diagnoses_of, measurements_of, one_locked
+from jointplay.app.storage.assets import NEEDED, asked, diagnoses_of, measurements_of, one_locked
 from jointplay.app.storage.audit import note
 from jointplay.app.storage.database import ServiceDatabase
 from jointplay.app.storage.repairs import is_between, repairs_of
@@ -128,14 +128,15 @@ class Standings:
             findings = select(FindingRow).where(FindingRow.asset == external_id, FindingRow.created_at >= since)
             repairs = repairs_of(rows_of(session, FindingRow, findings, []))
             answered = []
-            for number, keys in recordings_of(session, external_id).items():
+            turns = asked(session, external_id)
+            for diagnosis, keys in recordings_of(session, external_id).items():
                 moments = [made[key] for key in keys if key in made]
                 if moments:
-                    answered.append((not is_between(repairs, moments), max(moments), number))
+                    answered.append((not is_between(repairs, moments), max(moments), turns[diagnosis]))
             heard = max(made.values(), default=None)
             if not answered:
                 return heard, None, None
-            _, at, number = max(answered)
+            _, at, (_, number) = max(answered)
             [row] = rows_of(session, DiagnosisRow, select(DiagnosisRow).where(DiagnosisRow.number == number), None)
         return heard, row, at
 
@@ -251,17 +252,17 @@ def made_once(recordings: Iterable[tuple[str, str, datetime, str]]) -> dict[str,
     return {key: (sha256, made[sha256][1]) for key, sha256 in bytes_of.items()}
 
 
-def recordings_of(session: Session, external_id: str) -> dict[int, list[str]]:
-    """Return the ids of what an asset's newest diagnoses are of, by the numbers of their rows.
+def recordings_of(session: Session, external_id: str) -> dict[str, list[str]]:
+    """Return the ids of what an asset's newest diagnoses are of, by their ids.
 
     Raises
     ------
     DamagedRowError
     """
     query = newest(session, DiagnosisRow, None, MOST_VISITS, diagnoses_of(external_id))
-    columns = (DiagnosisRow.number, DiagnosisRow.measurement, DiagnosisRow.request)
+    columns = (DiagnosisRow.id, DiagnosisRow.measurement, DiagnosisRow.request)
     found = read_columns(session, query, *columns)
-    return {number: request.get("measurements") or [measurement] for number, measurement, request in found}
+    return {key: request.get("measurements") or [measurement] for key, measurement, request in found}
 
 
 def read_columns(session: Session, query: Any, *columns: Any) -> Sequence[Any]:

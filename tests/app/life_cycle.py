@@ -45,7 +45,8 @@ def diagnosed(
         if asset is not None:
             Assets(store.database).note(session, asset, ids, key)
 
-    return store.add_diagnosis(NewDiagnosis(ids[0], catalogue, MACHINE, request, diagnosis(verdict=verdict), also)).id
+    result = diagnosis(verdict=verdict, hash=f"{verdict:0<64}")  # another answer has another one
+    return store.add_diagnosis(NewDiagnosis(ids[0], catalogue, MACHINE, request, result, also)).id
 
 
 def found(store: Store, diagnosis: str) -> str:

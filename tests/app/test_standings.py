@@ -18,6 +18,7 @@ from sqlalchemy import select, text
 from uploaded import uploaded
 
 from jointplay.app.errors import BadFieldError, DamagedRowError
+from jointplay.app.jobs.following import gather
 from jointplay.app.schemas.assets import AssetIn, FindingIn
 from jointplay.app.schemas.webhooks import EVENTS
 from jointplay.app.storage.asset_rows import AssetRow
@@ -318,6 +319,23 @@ def test_the_last_of_several_recordings_says_which_answer_is_the_last(stores: li
     said = {"joints": {"A": {"clearance_um": 140, "repaired": True}}, "at": (march - timedelta(days=1)).isoformat()}
     Assets(store.database).add_finding(store.diagnosis(single), FindingIn.model_validate(said))
     assert heard(store) == (single, february), "those of before and after a repair are of no state"
+
+
+def test_the_question_that_was_asked_last_counts(stores: list[Store]) -> None:
+    """Whoever has tried something else comes back to the answer of before by asking for it again."""
+    store = stores[0]
+    put(store, "press-1")
+    row = stored(store)
+    before = diagnosed(store, row, asset="press-1", verdict="worn")
+    tried = diagnosed(store, row, asset="press-1", verdict="changed")
+    assert heard(store)[0] == tried and gather(store, "press-1").visits[0][2]["verdict"] == "changed"
+    changes = asset(store, "press-1").changes
+    assert diagnosed(store, row, asset="press-1", verdict="worn") == before
+    assert heard(store)[0] == before and gather(store, "press-1").visits[0][2]["verdict"] == "worn"
+    assert asset(store, "press-1").changes == changes + 1
+    assert diagnosed(store, row, asset="press-1", verdict="worn") == before
+    assert asset(store, "press-1").changes == changes + 1, "it was the last already"
+    assert diagnosed(store, row, asset="press-1", verdict="changed") == tried == heard(store)[0]
 
 
 def test_a_recording_that_was_sent_by_two_names_was_made_once(stores: list[Store]) -> None:
