@@ -18,6 +18,7 @@ from jointplay.app.storage.assets import Assets, measurements_of
 from jointplay.app.storage.remembered import Remembered
 from jointplay.app.storage.repairs import is_between
 from jointplay.app.storage.rows import MeasurementRow
+from jointplay.app.storage.standings import moments_of
 from jointplay.app.storage.store import Store
 from jointplay.catalogue.diagnosing.question import MOST_TOGETHER
 from jointplay.catalogue.signals.sensors import match_by_name
@@ -64,8 +65,8 @@ class Questions:
     def about_stored(self, request: DiagnosisRequest) -> tuple[list[MeasurementRow], Asked, DiagnosisRequest]:
         """Return the measurements that a request names, what else it names, and the request with what is remembered.
 
-        Which column is which sensor is taken from what was said of the asset's last recordings with the same columns,
-        where the request does not say it.
+        Which column is which sensor is taken from what was said of a recording last, or else of the asset's last one
+        with the same columns, where the request does not say it.
 
         Raises
         ------
@@ -75,8 +76,8 @@ class Questions:
         asked = self.about(request)
         rows = self.measurements_of(request, asked.asset)
         if self.may_remember(asked, request):
-            columns = {frozenset(names): names for names in (columns_of(row.summary) for row in rows)}
-            asked, request = self.with_remembered(asked, request, *columns.values())
+            columns = {row.id: columns_of(row.summary) for row in rows}
+            asked, request = self.with_remembered(asked, request, columns)
         return rows, asked, request
 
     def may_remember(self, asked: Asked, request: DiagnosisRequest) -> bool:
@@ -86,28 +87,27 @@ class Questions:
         return Remembered(self.store.database).has_mappings(asked.asset.external_id)
 
     def with_remembered(
-        self, asked: Asked, request: DiagnosisRequest, *columns: Sequence[str]
+        self, asked: Asked, request: DiagnosisRequest, columns: Mapping[str, Sequence[str]]
     ) -> tuple[Asked, DiagnosisRequest]:
-        """Return a question and its request with the sensors that the asset's last recordings with these columns had.
+        """Return a question and its request with the sensors that are remembered of recordings with these columns.
 
         Raises
         ------
         BadFieldError
-            When a column was one sensor in the last recording with some of the columns, and none or another one in the
-            last with others.
+            When a column is one sensor in one of them, and none or another one in another.
         """
         assert asked.asset is not None
         mapping: dict[str, str] = {}
         sensors: dict[str, str] = {}
-        for names in columns:
-            known = Remembered(self.store.database).mapping(asked.asset.external_id, names) or {}
+        for key, names in columns.items():
+            known = self.remembered_sensors(asked.asset.external_id, key, names)
             mapping |= known
             found = dict.fromkeys(names, "") | match_by_name(names, asked.offer.machine) | known
             for name, sensor in found.items():
                 if sensors.setdefault(name, sensor) != sensor:
-                    said = " and ".join(sorted(each or "none" for each in (sensors[name], sensor)))
-                    rule = "must be given, or recordings be diagnosed each by itself"
-                    raise BadFieldError(f"mapping: column {name[:80]}: was sensor {said}: {rule}", field="mapping")
+                    said = " in one of them and ".join(sorted(each or "no sensor" for each in (sensors[name], sensor)))
+                    rule = "in another, as was said of them: diagnose each by itself"
+                    raise BadFieldError(f"mapping: column {name[:80]}: is {said} {rule}", field="mapping")
         if not mapping:
             return asked, request
         question = replace(asked.question, mapping=mapping)
@@ -131,7 +131,9 @@ class Questions:
 
     def _check_one_state(self, rows: Sequence[MeasurementRow], asset: AssetRow, field: str) -> None:
         """Refuse recordings of an asset between which a joint was repaired: one answer is of one state."""
-        moments = [row.measured_at for row in rows]
+        with self.store.database.reading() as session:
+            made = moments_of(session, asset.external_id)
+        moments = [made.get(row.id, row.measured_at) for row in rows]
         for found in Assets(self.store.database).findings_of(asset, MOST_LESSONS, damaged=[]):
             repaired = sorted(name for name, told in found.joints.items() if told.get("repaired"))
             if repaired and is_between([found.at], moments):
@@ -197,7 +199,7 @@ class Questions:
         offer = self.shelf.find(request.catalogue)
         asset = self.asset_of(request.asset, offer.machine.name)
         in_order = [] if asset is None else self.baselines_of(asset, request.measurement)
-        baselines = tuple(map(self.file_of, in_order))
+        baselines = () if asset is None else self.files_of(asset.external_id, in_order)
         limits_um = {} if asset is None else asset.limits_um
         mapping, prior = dict(request.mapping), request.prior.model_dump()
         place = (str(offer.path), offer.stamp)
@@ -233,10 +235,25 @@ class Questions:
                 own = self.store.measurement(measurement).sha256
         return [row for row in rows if row.sha256 != own]
 
-    def file_of(self, baseline: MeasurementRow) -> tasks.BaselineFile:
-        """Return what a worker needs to read a baseline."""
-        own = self.store.mapping_of(baseline.id)
-        return str(self.store.path_of(baseline.sha256)), baseline.name, baseline.told, own
+    def remembered_sensors(self, asset: str, measurement: str, columns: Sequence[str]) -> dict[str, str]:
+        """Return sensors of columns as was said of a recording of an asset, or else of its last one with such columns.
+
+        Nothing where nothing was said.
+        """
+        read = Assets(self.store.database).as_read(asset, [measurement]).get(measurement)
+        if read is not None:
+            return dict(read.mapping)
+        return Remembered(self.store.database).mapping(asset, columns) or {}
+
+    def files_of(self, asset: str, baselines: Sequence[MeasurementRow]) -> tuple[tasks.BaselineFile, ...]:
+        """Return what a worker needs to read baselines of an asset."""
+        read = Assets(self.store.database).as_read(asset, [row.id for row in baselines])
+        files = []
+        for row in baselines:
+            own = read.get(row.id)
+            said = (None, None) if own is None else (own.mapping, own.speed)
+            files.append((str(self.store.path_of(row.sha256)), row.name, row.told, *said))
+        return tuple(files)
 
 
 def columns_of(summary: Mapping[str, Any]) -> list[str]:

@@ -33,7 +33,7 @@ from jointplay.app.shelves import built_in
 from jointplay.app.shelves.catalogues import CatalogueShelf, stamp_of
 from jointplay.app.shelves.entries import EntryShelf
 from jointplay.app.storage import webhooks
-from jointplay.app.storage.assets import Assets, touch_owners
+from jointplay.app.storage.assets import AsRead, Assets, newest_machine, touch_owners
 from jointplay.app.storage.build_queue import BuildQueue
 from jointplay.app.storage.machine_store import MachineStore
 from jointplay.app.storage.remembered import Remembered
@@ -44,7 +44,7 @@ from jointplay.app.storage.told import Told
 from jointplay.app.storage.uploads import Upload
 from jointplay.catalogue.diagnosing.answer import Diagnosis
 from jointplay.catalogue.following.state import WearState
-from jointplay.solver.machines.machine import Machine
+from jointplay.solver.machines.machine import Machine, parse_machine
 
 FORECASTS, FORECAST_S = 64, 600.0
 """Forecasts of builds that are kept, and for how long [s]: the computer may be busier later."""
@@ -182,7 +182,7 @@ class Service:
         if not one:
             request = request.model_copy(update={"measurements": ids})
         self.metrics.count_diagnosis(result)
-        diagnosis = self.new_diagnosis(request, asked, result, columns_of(rows[0].summary), rows[0].told)
+        diagnosis = self.new_diagnosis(request, asked, result, [(columns_of(each.summary), each.told) for each in rows])
         return await run_in_threadpool(self.store.add_diagnosis, diagnosis)
 
     async def diagnose_upload(self, upload: Upload, name: str, told: Told, request: DiagnosisRequest) -> DiagnosisRow:
@@ -202,7 +202,8 @@ class Service:
         recording = (str(upload.path), name, told)
         if asked.asset is not None and await run_in_threadpool(self.questions.may_remember, asked, request):
             read = await self.pool.run(tasks.summarise, *recording)
-            asked, request = await run_in_threadpool(self.questions.with_remembered, asked, request, columns_of(read))
+            columns = {request.measurement or "": columns_of(read)}
+            asked, request = await run_in_threadpool(self.questions.with_remembered, asked, request, columns)
         summary, result = await self.answers.answer(
             tasks.summarise_and_diagnose,
             *recording,
@@ -211,7 +212,7 @@ class Service:
             upload=upload,
         )
         self.metrics.count_diagnosis(result)
-        diagnosis = self.new_diagnosis(request, asked, result, columns_of(summary), told)
+        diagnosis = self.new_diagnosis(request, asked, result, [(columns_of(summary), told)])
         return await run_in_threadpool(self.store.add_both, upload, name, told, summary, diagnosis)
 
     async def forecast(self, wanted: BuildRequest) -> dict[str, Any]:
@@ -242,37 +243,47 @@ class Service:
         return drawn
 
     def new_diagnosis(
-        self, request: DiagnosisRequest, asked: Asked, result: Diagnosis, columns: Sequence[str], told: Told
+        self, request: DiagnosisRequest, asked: Asked, result: Diagnosis, recordings: Sequence[tuple[list[str], Told]]
     ) -> NewDiagnosis:
-        """Return a diagnosis as it is stored, with what is told of it, and remembered of its first recording."""
+        """Return a diagnosis as it is stored, with what is told of it, and remembered of its recordings."""
         measurements = request.measurements or [request.measurement or ""]
-        own = [dict(each) for *_, each in asked.question.baselines]
-        mapping = None
-        if "mapping" in request.model_fields_set:
-            mapping = {column: sensor for column, sensor in request.mapping.items() if column in columns}
+        speeds = asked.question.speeds or (None,) * len(measurements)
+        own = [{name: sensor for name, sensor in request.mapping.items() if name in each} for each, _ in recordings]
+        read = {key: AsRead(said, at) for key, said, at in zip(measurements, own, speeds, strict=True)}
+        is_said = "mapping" in request.model_fields_set and not asked.remembered
 
         def also(session: Session, key: str, new: bool) -> None:
             external_id = asked.asset.external_id if asked.asset else None
             if new:
                 announce(session, key, external_id, result)
             # One that was deleted may be another one of that name since.
-            if external_id and Assets(self.store.database).note(session, external_id, measurements, key):
-                Remembered(self.store.database).remember(session, external_id, columns, told.shown, mapping)
+            if external_id and Assets(self.store.database).note(session, external_id, read, key):
+                for (columns, told), mapping in zip(recordings, own, strict=True):
+                    said = mapping if is_said else None
+                    Remembered(self.store.database).remember(session, external_id, columns, told.shown, said)
 
+        baselines = [{"mapping": mapping, "speed": speed} for *_, mapping, speed in asked.question.baselines]
         return NewDiagnosis(
             measurements[0],
             asked.offer.description.id,
             asked.offer.document,
             request.model_dump(mode="json")
             | {"baselines": list(asked.baselines), "limits_um": dict(asked.question.limits_um)}
-            | ({"baseline_mappings": own} if any(own) else {})
+            | ({"baselines_read": baselines} if baselines else {})
             | ({"mapping_remembered": True} if asked.remembered else {}),
             result,
             also,
         )
 
-    def machine_of(self, name: str) -> Machine | None:
-        """Return the machine that assets of a name are one of, as a catalogue or a file of it says; None for others."""
+    def machine_of(self, name: str, external_id: str) -> Machine | None:
+        """Return the machine of a name that an asset is, as its newest diagnosis says.
+
+        Without one, as a catalogue or a file of it says; None where there is none of this name.
+        """
+        with self.store.database.reading() as session:
+            diagnosed = newest_machine(session, external_id)
+        if diagnosed is not None and diagnosed["name"] == name:
+            return parse_machine(diagnosed)
         for offer in self.shelf.offers():
             if offer.machine.name == name:
                 return offer.machine

@@ -16,7 +16,7 @@ from jointplay.app.storage.asset_rows import FindingRow
 from jointplay.app.storage.assets import Assets, asked, diagnoses_of, measurements_of
 from jointplay.app.storage.repairs import is_between, repairs_of
 from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
-from jointplay.app.storage.standings import MOST_VISITS, made_once
+from jointplay.app.storage.standings import MOST_VISITS, made_once, turn_of
 from jointplay.app.storage.store import Store
 
 if TYPE_CHECKING:
@@ -132,7 +132,8 @@ def _counted(
     """Return the answers that count, each with the moment and the name of what it is of."""
     heard: set[str] = set()
     counted: list[tuple[datetime, str, DiagnosisRow]] = []
-    for answer in sorted(diagnoses, key=_turn):  # what was asked last first of each kind
+    # What was asked last first of each kind.
+    for answer in sorted(diagnoses, key=lambda each: turn_of(len(each.measurements), each.result["verdict"])):
         moments = {made[key] for key in answer.measurements if key in made}
         bytes_of = sorted(sha256 for sha256, _ in moments)
         at = [moment for _, moment in moments]
@@ -181,13 +182,6 @@ def _lessons(store: Store, machine: str, until: datetime) -> Iterator[tuple[Diag
 def _is_of_one_state(at: datetime, moments: Collection[datetime], repairs: Iterable[datetime]) -> bool:
     """Return whether something was found at a machine as it was heard at some moments."""
     return -BEFORE <= at - max(moments) <= SOON and not is_between(repairs, (at, *moments))
-
-
-def _turn(row: DiagnosisRow) -> int:
-    """When an answer counts: common ones first, those without a verdict last."""
-    if len(row.measurements) == 1:
-        return 1
-    return 2 if row.result["verdict"] == "unknown" else 0
 
 
 def _without_evidence(row: DiagnosisRow) -> dict[str, Any]:

@@ -26,7 +26,8 @@ from jointplay.app.jobs.workers import TaskFailedError, WorkerPool
 from jointplay.app.storage.rows import now
 from jointplay.app.storage.standings import Due, Standings
 from jointplay.app.storage.store import Store
-from jointplay.catalogue.following.standing import JointKnown, Known
+from jointplay.app.words import named_joints
+from jointplay.catalogue.following.standing import LIKELY, JointKnown, Known
 from jointplay.catalogue.following.state import WearState
 
 log = logging.getLogger(__name__)
@@ -112,11 +113,14 @@ class StandingKeeper:
             return self._after_failure(due, told, error)
         self._failures.pop(due.external_id, None)
         joints = {name: JointKnown.of(each) for name, each in state.joints.items()}
-        worn = {name for name, found in last.answer.joints.items() if found.condition == "worn"}
-        # What is told of the moment of a recording was mended after it.
+        worn = set(named_joints(last.answer))
+        # What is told of the moment of a recording was mended, or found in order, after it.
         mended = [repair for repair in state.repairs if at and (repair.at > at or (repair.at == at and repair.is_told))]
         since = {repair.joint for repair in mended}
-        repaired = last.answer.verdict == "worn" and bool(worn) and worn <= since
+        if since:
+            looked_at = {name for found_at, _, told in life.findings if at and found_at >= at for name in told}
+            since |= {name for name in looked_at if name in joints and joints[name].p_worn < LIKELY}
+        repaired = bool(worn) and worn <= since
         return told.model_copy(update={"joints": joints, "causes": state.causes, "repaired": repaired})
 
     def _after_failure(self, due: Due, told: Known, error: Exception) -> Known:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +18,7 @@ from jointplay.app.storage.told import Told
 
 if TYPE_CHECKING:
     from jointplay.catalogue.diagnosing.answer import Diagnosis
+    from jointplay.catalogue.diagnosing.past_recordings import InOrder
     from jointplay.catalogue.matching.modes import Effort, ModeAsked
     from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum
     from jointplay.catalogue.measurements.measurement import Recording
@@ -29,8 +30,9 @@ if TYPE_CHECKING:
 Progress = Callable[[int, int], None]
 """Is told the number of cases done and their total."""
 
-BaselineFile = tuple[str, str, Told, Mapping[str, str]]
-"""Path, name and what is told of a recording of a machine in order; which column is which sensor, where it was said."""
+BaselineFile = tuple[str, str, Told, Mapping[str, str] | None, float | None]
+"""Path, name and what is told of a recording of a machine in order; sensors of its columns and its drive speed [rad/s]
+where these were said of it."""
 
 MOST = {"links": 64, "joints": 128, "sensors": 100}
 """Of what a machine may have how much: its check and its account then take some 15 s of a processor."""
@@ -183,7 +185,7 @@ def _asked(question: DiagnosisTask) -> dict[str, Any]:
         "mapping": question.mapping or None,
         "prior": Prior(**question.prior),
         "limits_um": question.limits_um,
-        "baseline": [in_order(each, question.mapping) for each in question.baselines],
+        "baseline": list(map(in_order, question.baselines)),
     }
 
 
@@ -317,27 +319,20 @@ def warm(catalogues: Sequence[tuple[str, str]]) -> int:
     return loaded
 
 
-def in_order(baseline: BaselineFile, mapping: Mapping[str, str] | None = None) -> Recording:
-    """Read a baseline, which has to be a recording over time.
-
-    What was said of its own columns holds, whatever columns of these names are in what is compared with it, `mapping`;
-    that these are others is told.
-    """
+def in_order(baseline: BaselineFile) -> InOrder:
+    """Read a baseline, which has to be a recording over time."""
+    from jointplay.catalogue.diagnosing.past_recordings import InOrder
     from jointplay.catalogue.measurements.measurement import read_measurement
 
-    path, name, told, own = baseline
-    found = read_measurement(
+    path, name, told, mapping, speed = baseline
+    recording = read_measurement(
         read_bytes(path),
         name=name,
         sample_rate=told.sample_rate_hz,
         units=told.units or None,
         profile=told.import_profile,
     )
-    others = ", ".join(column for column, sensor in own.items() if (mapping or {}).get(column, sensor) != sensor)
-    if others:
-        said = f"column {others}: is another sensor here than in what is compared with it, as was said of it"
-        found = replace(found, warnings=(*found.warnings, said))
-    return found.renamed(own)
+    return InOrder(recording, mapping, speed)
 
 
 @lru_cache(maxsize=4)

@@ -238,11 +238,11 @@ def again(
     def files(rows: list[MeasurementRow]) -> Recorded:
         return tuple((str(store.path_of(each.sha256)), each.name, each.told) for each in rows)
 
-    # Limits are those of then: the asset may have others by now, and something else be said of its baselines' columns.
-    own = asked.get("baseline_mappings") or [{}] * len(baselines)
+    # Limits are those of then: the asset may have others by now, and something else be said of its baselines.
+    read = asked.get("baselines_read") or [{"mapping": None, "speed": None}] * len(baselines)
     question = tasks.DiagnosisTask(
         *(*place, speeds_of(asked), asked["effort"], asked["mode"], asked["mapping"], asked["prior"]),
-        tuple((*file, mapping) for file, mapping in zip(files(baselines), own, strict=True)),
+        tuple((*file, own["mapping"], own["speed"]) for file, own in zip(files(baselines), read, strict=True)),
         limits_um=asked.get("limits_um", {}),
     )
     return Again(row.answer.model_dump(mode="json"), files(recordings), question)

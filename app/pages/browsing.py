@@ -131,9 +131,12 @@ def _measured(catalogue: Catalogue, baseline: BaselineFile) -> tuple[dict[str, t
     from jointplay.catalogue.signals.features import prepare
 
     try:
+        healthy = in_order(baseline)
         found = prepare(
-            in_order(baseline),
+            healthy.recording,
             catalogue.machine,
+            healthy.mapping,
+            healthy.speed,
             scheme=catalogue.scheme,
             nominal=catalogue.recipe.nominal_drive_speed,
             near=catalogue.drive_speeds,

@@ -23,16 +23,19 @@ FORESEEN_S = 60 * 86400.0
 
 
 def history(
-    diagnoses: Sequence[DiagnosisRow], measurements: Mapping[str, MeasurementRow], findings: Sequence[FindingRow]
+    diagnoses: Sequence[DiagnosisRow],
+    measurements: Mapping[str, MeasurementRow],
+    made: Mapping[str, datetime],
+    findings: Sequence[FindingRow],
 ) -> dict[str, Any]:
     """Return the members that an asset's page shows of its past.
 
     Parameters
     ----------
     diagnoses : sequence of DiagnosisRow
-        Of the asset, the newest first.
-    measurements : Mapping
-        Their recordings by id.
+        Of the asset, what was asked last first.
+    measurements, made : Mapping
+        Their recordings by id, and when these were made.
     findings : sequence of FindingRow
         Of the asset, the newest first.
 
@@ -44,15 +47,15 @@ def history(
     """
     return {
         "rows": [
-            diagnosis_row(row, measurements)
-            for row in sorted(diagnoses, key=lambda row: measured(row, measurements), reverse=True)
+            diagnosis_row(row, measurements, measured(row, made))
+            for row in sorted(diagnoses, key=lambda row: measured(row, made), reverse=True)
         ],
         "findings": [finding_row(row) for row in findings],
-        "chart": chart(diagnoses, measurements, findings) if diagnoses or findings else None,
+        "chart": chart(diagnoses, made, findings) if diagnoses or findings else None,
     }
 
 
-def diagnosis_row(row: DiagnosisRow, measurements: Mapping[str, MeasurementRow]) -> dict[str, Any]:
+def diagnosis_row(row: DiagnosisRow, measurements: Mapping[str, MeasurementRow], at: datetime) -> dict[str, Any]:
     """Return the row of a diagnosis in the table."""
     result = row.answer
     name = measurements[row.measurement].name
@@ -62,7 +65,7 @@ def diagnosis_row(row: DiagnosisRow, measurements: Mapping[str, MeasurementRow])
         "short": words.short(result),
         "plays": plays(words.named_joints(result)),
         "percent": words.probability(result),
-        "measured": spell_moment(measured(row, measurements)),
+        "measured": spell_moment(at),
         "received": any(measurements[key].measured_at_source == "received" for key in row.measurements),
         "diagnosed": spell_moment(row.created_at),
         "measurement": row.measurement,
@@ -87,28 +90,28 @@ def finding_row(row: FindingRow) -> dict[str, Any]:
 
 
 def latest(diagnoses: Sequence[DiagnosisRow]) -> list[DiagnosisRow]:
-    """Return the newest diagnosis of each recording, or of several together, of a list with the newest first."""
+    """Return the last diagnosis of each recording, or of several together, of a list with the last first."""
     return list({row.measurements: row for row in reversed(diagnoses)}.values())
 
 
-def measured(row: DiagnosisRow, measurements: Mapping[str, MeasurementRow]) -> datetime:
+def measured(row: DiagnosisRow, made: Mapping[str, datetime]) -> datetime:
     """Return when the recording of a diagnosis was made, or the last of several."""
-    return max(measurements[key].measured_at for key in row.measurements)
+    return max(made[key] for key in row.measurements)
 
 
 def chart(
-    diagnoses: Sequence[DiagnosisRow], measurements: Mapping[str, MeasurementRow], findings: Sequence[FindingRow]
+    diagnoses: Sequence[DiagnosisRow], made: Mapping[str, datetime], findings: Sequence[FindingRow]
 ) -> dict[str, Any]:
     """Return the chart: its data for the script and its content in words for those who do not see it.
 
-    A recording stands at the time when it was made, with its newest diagnosis.
+    A recording stands at the time when it was made, with its last diagnosis.
     """
-    shown = sorted(latest(diagnoses), key=lambda row: measured(row, measurements))
+    shown = sorted(latest(diagnoses), key=lambda row: measured(row, made))
     points: dict[str, list[dict[str, float]]] = {}
     order = sorted({name for row in shown for name in row.answer.joints})
     events: list[dict[str, Any]] = []
     for row in shown:
-        at = measured(row, measurements).timestamp()
+        at = measured(row, made).timestamp()
         worn = words.named_joints(row.answer)
         if not worn:
             events.append({"at": at, "kind": row.answer.verdict})

@@ -17,13 +17,17 @@ from jointplay.solver.machines.fault import Fault
 RPM = 30.0 / math.pi
 
 
-def understand(path: str, name: str, told: Told, catalogue: str, stamp: str) -> dict[str, Any]:
+def understand(
+    path: str, name: str, told: Told, catalogue: str, stamp: str, mapping: Mapping[str, str]
+) -> dict[str, Any]:
     """Return how a recording would be compared with a catalogue: sensors by column, drive speed, warnings.
 
     Parameters
     ----------
     path, name, told, catalogue, stamp
         As for :func:`jointplay.app.jobs.tasks.diagnose`.
+    mapping : Mapping
+        Sensors of columns as they are remembered.
 
     Returns
     -------
@@ -44,12 +48,13 @@ def understand(path: str, name: str, told: Told, catalogue: str, stamp: str) -> 
     answer["tacho"] = isinstance(measurement, Recording) and measurement.turns is not None
     field = "mapping"
     try:
-        map_sensors(measurement, found.machine)
+        map_sensors(measurement, found.machine, mapping)
         field = "speed"
-        cut = cut_by_speed(measurement, found.machine, found.drive_speeds)
+        cut = cut_by_speed(measurement, found.machine, found.drive_speeds, mapping)
         prepared = prepare(
             cut.pieces[0],
             found.machine,
+            mapping,
             scheme=found.scheme,
             nominal=found.recipe.nominal_drive_speed,
             near=found.drive_speeds,

@@ -34,7 +34,7 @@ from jointplay.app.storage.asset_rows import AssetRow
 from jointplay.app.storage.assets import Assets, asked, diagnoses_of, measurements_of
 from jointplay.app.storage.repairs import is_between, repairs_of
 from jointplay.app.storage.rows import Damaged, DiagnosisRow, MeasurementRow, now
-from jointplay.app.storage.standings import Standings
+from jointplay.app.storage.standings import Standings, moments_of
 from jointplay.app.words import colour_sentence, spell_moment
 
 router = APIRouter(prefix="/assets")
@@ -107,7 +107,7 @@ async def change(request: Request, external_id: str) -> Response:
         row = await run_in_threadpool(found.asset, external_id)
         given.update(await plain_form(request))
         _, wanted = check_form({**given, "external_id": external_id, "machine": row.machine})
-        await run_in_threadpool(check_limits, service, wanted)
+        await run_in_threadpool(check_limits, service, external_id, wanted)
         await run_in_threadpool(check_baseline, service, wanted)
         await run_in_threadpool(found.put, external_id, wanted)
     except REFUSALS as error:
@@ -269,7 +269,10 @@ def past(service: Service, external_id: str, cursor: str | None) -> dict[str, An
     among = select(MeasurementRow.id).where(MeasurementRow.id.in_(used))
     measurements = {each.id: each for each in store.measurements(None, len(used), among, damaged, gone=True)}
     own = store.measurements(None, SHOWN, measurements_of(external_id), damaged)
-    diagnoses = [each for each in diagnoses if measurements.keys() >= set(each.measurements)]
+    with store.database.reading() as session:
+        made, turns = moments_of(session, external_id), asked(session, external_id)
+    diagnoses = [each for each in diagnoses if measurements.keys() & made.keys() >= set(each.measurements)]
+    diagnoses.sort(key=lambda each: turns[each.id], reverse=True)
     own.sort(key=lambda each: (each.measured_at, each.number), reverse=True)
     recordings = [each for each in own if each.summary.get("kind") != "spectrum"]  # which is no baseline
     baselines = [store.measurement(key) for key in row.in_order]
@@ -278,15 +281,12 @@ def past(service: Service, external_id: str, cursor: str | None) -> dict[str, An
     colours, drawn = dict[str, float](), ""
     if diagnoses and cursor is None:
         mended = repairs_of(findings)
-        with store.database.reading() as session:
-            turns = asked(session, external_id)
 
-        def turn(each: DiagnosisRow) -> tuple[bool, datetime, tuple[datetime, int]]:
-            moments = [measurements[key].measured_at for key in each.measurements]
-            return not is_between(mended, moments), max(moments), turns[each.id]
+        def turn(each: DiagnosisRow) -> tuple[bool, datetime]:
+            return not is_between(mended, [made[key] for key in each.measurements]), measured(each, made)
 
-        last = max(diagnoses, key=turn)
-        since = [each.joints for each in findings if each.at > measured(last, measurements)]
+        last = max(diagnoses, key=turn)  # of alike ones the first, which was asked last
+        since = [each.joints for each in findings if each.at > measured(last, made)]
         repaired = {name for joints in since for name, told in joints.items() if told.get("repaired")}
         colours = {name: share for name, share in joint_colours(last.answer).items() if name not in repaired}
         drawn = colour_sentence(last.answer) + (f" Repaired since: {', '.join(sorted(repaired))}." if repaired else "")
@@ -294,14 +294,17 @@ def past(service: Service, external_id: str, cursor: str | None) -> dict[str, An
     compared = [
         each.answer.catalogue for each in diagnoses
     ]  # the newest first: what comes next is compared with the same
-    machine = service.machine_of(row.machine)
+    machine = service.machine_of(row.machine, external_id)
     wearing = () if machine is None else machine.wearing_joints
     limits = [(name, f"{1e6 * machine.joints[name].worn_out_from:.4g}") for name in wearing] if machine else []
+    drawing = ""
+    if machine is not None:  # an answer of another catalogue may name a joint that its file does not have
+        drawing = machine_picture(machine, {name: share for name, share in colours.items() if name in machine.joints})
     return {
         "asset": asset_item(row),
         "standing": show_standing(row, now()),
         "limits": limits,
-        "drawing": "" if machine is None else machine_picture(machine, colours),
+        "drawing": drawing,
         "drawn": drawn,
         "stored": {
             "notes": row.notes,
@@ -312,7 +315,7 @@ def past(service: Service, external_id: str, cursor: str | None) -> dict[str, An
         "baseline": ", ".join(each.name for each in baselines),
         "recordings": [(each.id, spell(each)) for each in recordings],
         "several": [(each.id, spell(each)) for each in own if each.id not in row.in_order],
-        "history": history(diagnoses, measurements, findings[:SHOWN]),
+        "history": history(diagnoses, measurements, made, findings[:SHOWN]),
         "more_findings": len(findings) > SHOWN,
         "catalogues": offered,
         "catalogue": next((name for name in (*compared, *offered) if name in offered), None),

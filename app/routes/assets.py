@@ -66,7 +66,7 @@ def put(request: Request, response: Response, external_id: ExternalId, wanted: A
     """Say which machine an asset is, what to note of it, and its baselines; what is left out is emptied."""
     service = of_request(request)
     check_baseline(service, wanted)
-    check_limits(service, wanted)
+    check_limits(service, external_id, wanted)
     row, new = Assets(service.store.database).put(external_id, wanted)
     if new:
         response.status_code = 201
@@ -196,7 +196,7 @@ def list_assets(
     return rows[:size], damaged, paging.encode(str((start or 0) + size)) if more else None
 
 
-def check_limits(service: Service, wanted: AssetIn) -> None:
+def check_limits(service: Service, external_id: str, wanted: AssetIn) -> None:
     """Refuse limits of joints that the machine does not have, or that no worn joint can have.
 
     Raises
@@ -205,7 +205,7 @@ def check_limits(service: Service, wanted: AssetIn) -> None:
     """
     if not wanted.limits_um:
         return
-    machine = service.machine_of(wanted.machine)
+    machine = service.machine_of(wanted.machine, external_id)
     if machine is None:
         raise BadFieldError(f"limits_um: machine {wanted.machine[:80]}: is not known here", field="limits_um")
     wearing = machine.wearing_joints

@@ -116,7 +116,7 @@ def baseline_of(service: Service, offer: Offer, asset: str) -> BaselineFile | No
     found = service.questions.baselines_of(row, None)
     if not found:
         raise BadFieldError(f"asset: {asset[:80]}: has no baseline", field="asset")
-    return service.questions.file_of(found[0])
+    return service.questions.files_of(row.external_id, found[:1])[0]
 
 
 async def show_nearest(service: Service, offer: Offer, chosen: dict[str, str]) -> dict[str, Any]:

@@ -42,7 +42,6 @@ from jointplay.app.problems import Problem
 from jointplay.app.questions import columns_of
 from jointplay.app.service import Service, of_request
 from jointplay.app.storage.assets import Assets
-from jointplay.app.storage.remembered import Remembered
 from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
 from jointplay.app.storage.told import read_told
 from jointplay.app.words import recorded, spell_moment
@@ -176,17 +175,10 @@ async def understood(request: Request, given: Mapping[str, str]) -> dict[str, An
     service = of_request(request)
     measurement = await run_in_threadpool(service.store.measurement, given.get("measurement", ""))
     offer = await run_in_threadpool(service.shelf.find, given.get("catalogue", ""))
-    path = str(service.store.path_of(measurement.sha256))
-    found = await service.pool.run(
-        understanding.understand,
-        path,
-        measurement.name,
-        measurement.told,
-        str(offer.path),
-        offer.stamp,
-    )
-    messages = {found["field"]: found["message"]} if found["field"] else {}
     known = await run_in_threadpool(remembered_sensors, service, measurement, given.get("asset"))
+    recording = (str(service.store.path_of(measurement.sha256)), measurement.name, measurement.told)
+    found = await service.pool.run(understanding.understand, *recording, str(offer.path), offer.stamp, known)
+    messages = {found["field"]: found["message"]} if found["field"] else {}
     shown = confirmation(measurement, offer, found, given, known)
     # The result comes below it, with a drawing of the same machine: names within them are told apart.
     shown["drawing"] = (
@@ -201,8 +193,7 @@ def remembered_sensors(service: Service, measurement: MeasurementRow, asset: str
     """Return which column is which sensor by what was confirmed for the asset before; nothing where nothing was."""
     if not asset:
         return {}
-    columns = columns_of(measurement.summary)
-    return Remembered(service.store.database).mapping(asset, columns) or {}
+    return service.questions.remembered_sensors(asset, measurement.id, columns_of(measurement.summary))
 
 
 async def refuse(

@@ -76,6 +76,12 @@ async def look(service: Service, key: str, query: SignalQuery, kind: str) -> byt
         machine, mapping = diagnosis.machine, diagnosis.request.get("mapping") or {}
         if speed is None and row.id in diagnosis.measurements:
             speed = speed_in(diagnosis, row)
+        read = dict(
+            zip(diagnosis.request.get("baselines", ()), diagnosis.request.get("baselines_read", ()), strict=False)
+        )
+        if own := read.get(row.id):
+            mapping = mapping if own["mapping"] is None else own["mapping"]
+            speed = own["speed"] if speed is None else speed
         best = diagnosis.answer.hypotheses[0].joints
         clearances = {joint: found.clearance_um * 1e-6 for joint, found in best.items()}
         # Another recording of the machine turned at a speed of its own.

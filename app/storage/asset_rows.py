@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import datetime, timedelta
 from typing import Any, ClassVar
 
-from sqlalchemy import JSON, ForeignKey, String, Text
+from sqlalchemy import JSON, Double, ForeignKey, String, Text
 from sqlalchemy.orm import Mapped, mapped_column, relationship
 
 from jointplay.app.storage.checksums import checksum
@@ -104,12 +104,14 @@ class AssetBaselineRow(Base):
 
 
 class AssetMeasurementRow(Base):
-    """A recording of an asset."""
+    """A recording of an asset, and what was said of its sensors and speed when it was diagnosed last."""
 
     __tablename__ = "asset_measurements"
 
     asset: Mapped[str] = mapped_column(ForeignKey("assets.external_id"), primary_key=True)
     measurement: Mapped[str] = mapped_column(ForeignKey("measurements.id"), primary_key=True)
+    mapping: Mapped[dict[str, Any] | None] = mapped_column(JSON(none_as_null=True))
+    speed: Mapped[float | None] = mapped_column(Double)
 
 
 class AssetDiagnosisRow(Base):

@@ -5,7 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
@@ -40,6 +41,22 @@ NEEDED = 10
 
 
 SAID_OF_FINDING = ("diagnosis", "asset", "at", "joints", "text")
+
+
+@dataclass(frozen=True)
+class AsRead:
+    """How a recording was read for an answer.
+
+    Parameters
+    ----------
+    mapping : mapping of str to str
+        Sensor of each of its columns that is not named like its sensor.
+    speed : float or None
+        Drive speed that was given, rad/s.
+    """
+
+    mapping: Mapping[str, str]
+    speed: float | None = None
 
 
 class Assets:
@@ -169,6 +186,14 @@ class Assets:
             found = session.execute(select(AssetRow.state, func.count()).group_by(AssetRow.state)).all()
         return {str(state): int(count) for state, count in found}
 
+    def as_read(self, external_id: str, measurements: Collection[str]) -> dict[str, AsRead]:
+        """Return how recordings of an asset were read when they were diagnosed last, of those that were, by id."""
+        row = AssetMeasurementRow
+        query = select(row.measurement, row.mapping, row.speed).where(row.asset == external_id)
+        query = query.where(row.measurement.in_(measurements), row.mapping.is_not(None))
+        with self._database.reading() as session:
+            return {key: AsRead(mapping, speed) for key, mapping, speed in session.execute(query)}
+
     def own(self, external_id: str, measurement: str) -> None:
         """Note that a stored measurement is of an asset."""
         with self._database.writing() as session:
@@ -189,10 +214,18 @@ class Assets:
         if session.execute(insert.returning(AssetMeasurementRow.asset)).first() is not None:
             note(session, "gained", "asset", external_id, after={"measurement": measurement})
 
-    def note(self, session: Session, external_id: str, measurements: Iterable[str], diagnosis: str) -> bool:
+    def note(self, session: Session, external_id: str, measurements: Mapping[str, AsRead], diagnosis: str) -> bool:
         """Note in a transaction that a diagnosis, and what it is of, belong to an asset; return whether that is new.
 
-        One that was asked before, but not last, counts as the newest, which is new as well.
+        One that was asked before, but not last, counts as asked last from now on.
+
+        Parameters
+        ----------
+        session : Session
+        external_id : str
+        measurements : mapping of str to AsRead
+            By id.
+        diagnosis : str
 
         Raises
         ------
@@ -200,16 +233,20 @@ class Assets:
             When the asset was deleted since somebody has looked.
         """
         hold(session, external_id)
-        for measurement in measurements:
+        for measurement, read in measurements.items():
             self.own_in(session, external_id, measurement)
+            which = (AssetMeasurementRow.asset == external_id, AssetMeasurementRow.measurement == measurement)
+            said = {"mapping": dict(read.mapping), "speed": read.speed}
+            session.execute(update(AssetMeasurementRow).where(*which).values(said))
         row = {"asset": external_id, "diagnosis": diagnosis}
         insert = self._database.insert(AssetDiagnosisRow).values(row).on_conflict_do_nothing()
         is_new = session.execute(insert.returning(AssetDiagnosisRow.asset)).first() is not None
+        is_last = is_new
         if not is_new and (turns := asked(session, external_id))[diagnosis] < max(turns.values()):
-            is_new = True
+            is_last = True
             again = update(AssetDiagnosisRow).where(AssetDiagnosisRow.diagnosis == diagnosis)
             session.execute(again.values(asked_again_at=now()))
-        if is_new:
+        if is_last:
             touch(session, AssetRow.external_id == external_id)
         return is_new
 
@@ -366,11 +403,16 @@ def refuse_another_machine(session: Session, external_id: str, machine: str) -> 
     ------
     BadFieldError
     """
-    known = select(DiagnosisRow.machine).where(DiagnosisRow.id.in_(diagnoses_of(external_id)))
-    newest_one = session.scalar(known.order_by(DiagnosisRow.number.desc()).limit(1))
-    if newest_one is not None and newest_one["name"] != machine:
-        said = f"machine: {machine[:80]}: asset {external_id} has diagnoses of a {newest_one['name']}"
+    diagnosed = newest_machine(session, external_id)
+    if diagnosed is not None and diagnosed["name"] != machine:
+        said = f"machine: {machine[:80]}: asset {external_id} has diagnoses of a {diagnosed['name']}"
         raise BadFieldError(f"{said}: must stay; another machine is another asset", field="machine")
+
+
+def newest_machine(session: Session, external_id: str) -> dict[str, Any] | None:
+    """Return the file of the machine by an asset's newest diagnosis; None where there is none."""
+    known = select(DiagnosisRow.machine).where(DiagnosisRow.id.in_(diagnoses_of(external_id)))
+    return session.scalar(known.order_by(DiagnosisRow.number.desc()).limit(1))
 
 
 def about_asset(row: AssetRow) -> dict[str, Any]:

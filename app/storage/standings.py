@@ -48,6 +48,9 @@ from jointplay.catalogue.following.standing import (
 MOST_VISITS = 2000
 """Diagnoses of an asset that are looked at, the newest so many."""
 
+SAYING = ("sender", "file", "received")
+"""Who says when a recording was made, the surest first."""
+
 LEASE = timedelta(seconds=300)
 """Longer than judging takes: an asset that was taken by a server that died is due again after it."""
 
@@ -115,7 +118,8 @@ class Standings:
         """Return when an asset was last recorded, and the answer to the last recording diagnosed and its time.
 
         Of several recordings that have an answer together the last counts. An answer to recordings of before and after
-        a repair is of no state of wear, and only returned where there is no other.
+        a repair is of no state of wear, and only returned where there is no other. Of several to the same last
+        recording it is the one that counts for the state of wear, by :func:`turn_of`.
 
         Raises
         ------
@@ -129,14 +133,14 @@ class Standings:
             repairs = repairs_of(rows_of(session, FindingRow, findings, []))
             answered = []
             turns = asked(session, external_id)
-            for diagnosis, keys in recordings_of(session, external_id).items():
+            for diagnosis, (keys, turn) in recordings_of(session, external_id).items():
                 moments = [made[key] for key in keys if key in made]
                 if moments:
-                    answered.append((not is_between(repairs, moments), max(moments), turns[diagnosis]))
+                    answered.append((not is_between(repairs, moments), max(moments), -turn, turns[diagnosis]))
             heard = max(made.values(), default=None)
             if not answered:
                 return heard, None, None
-            _, at, (_, number) = max(answered)
+            _, at, _, (_, number) = max(answered)
             [row] = rows_of(session, DiagnosisRow, select(DiagnosisRow).where(DiagnosisRow.number == number), None)
         return heard, row, at
 
@@ -236,33 +240,42 @@ def moments_of(session: Session, external_id: str) -> dict[str, datetime]:
 def made_once(recordings: Iterable[tuple[str, str, datetime, str]]) -> dict[str, tuple[str, datetime]]:
     """Return the bytes of recordings by their ids, and when they were made.
 
-    The same bytes by several names were made once: when somebody says, or else when they were first received.
+    The same bytes by several names were made once: when a sender says, or else a file, or else when they were first
+    received.
 
     Parameters
     ----------
     recordings : iterable of (str, str, datetime, str)
         Id, checksum of the bytes, and of each name when it was made, and who says that.
     """
-    made: dict[str, tuple[bool, datetime]] = {}
+    made: dict[str, tuple[int, datetime]] = {}
     bytes_of = {}
     for key, sha256, at, source in recordings:
-        moment = (source == "received", at)
+        moment = (SAYING.index(source), at)
         made[sha256] = min(made.get(sha256, moment), moment)
         bytes_of[key] = sha256
     return {key: (sha256, made[sha256][1]) for key, sha256 in bytes_of.items()}
 
 
-def recordings_of(session: Session, external_id: str) -> dict[str, list[str]]:
-    """Return the ids of what an asset's newest diagnoses are of, by their ids.
+def recordings_of(session: Session, external_id: str) -> dict[str, tuple[list[str], int]]:
+    """Return the ids of what an asset's newest diagnoses are of, and when these count, by their ids.
 
     Raises
     ------
     DamagedRowError
     """
     query = newest(session, DiagnosisRow, None, MOST_VISITS, diagnoses_of(external_id))
-    columns = (DiagnosisRow.id, DiagnosisRow.measurement, DiagnosisRow.request)
-    found = read_columns(session, query, *columns)
-    return {key: request.get("measurements") or [measurement] for key, measurement, request in found}
+    verdict = DiagnosisRow.result["verdict"].as_string()
+    found = read_columns(session, query, DiagnosisRow.id, DiagnosisRow.measurement, DiagnosisRow.request, verdict)
+    keys = {key: (request.get("measurements") or [one], said) for key, one, request, said in found}
+    return {key: (several, turn_of(len(several), said)) for key, (several, said) in keys.items()}
+
+
+def turn_of(recordings: int, verdict: str) -> int:
+    """Return when an answer to so many recordings counts: common ones first, those without a verdict last."""
+    if recordings == 1:
+        return 1
+    return 2 if verdict == "unknown" else 0
 
 
 def read_columns(session: Session, query: Any, *columns: Any) -> Sequence[Any]:

@@ -38,9 +38,6 @@ from jointplay.app.storage.tombstones import TombstoneRow, deleted, dig_up, miss
 from jointplay.app.storage.uploads import Upload, Uploads
 from jointplay.catalogue.diagnosing.answer import Diagnosis
 
-MOST_ASKED = 100
-"""Diagnoses of a measurement that are looked at for what was said of its columns, the newest so many."""
-
 
 @dataclass(frozen=True)
 class NewDiagnosis:
@@ -183,8 +180,10 @@ class Store:
             raise BusyError("the same bytes were deleted at this moment; send them again")
         held = dict(summary)
         received, in_file = now(), held.pop("measured_at", None)
-        moment = told.measured_at or (datetime.fromisoformat(in_file) if in_file else received)
-        source: MomentSource = "sender" if told.measured_at else "file" if in_file else "received"
+        of_file = datetime.fromisoformat(in_file) if in_file else received
+        is_of_file = of_file < received  # what is later was read as UTC, and is of a clock further east
+        moment = told.measured_at or (of_file if is_of_file else received)
+        source: MomentSource = "sender" if told.measured_at else "file" if is_of_file else "received"
         row = {
             "id": measurement_key(upload.sha256, name, told),
             "sha256": upload.sha256,
@@ -241,15 +240,6 @@ class Store:
         """Return the measurement of a diagnosis, of several the first; also when it was deleted."""
         with self._session() as session:
             return session.scalars(select(MeasurementRow).filter_by(id=diagnosis.measurement)).one()
-
-    def mapping_of(self, measurement: str) -> dict[str, str]:
-        """Return which column is which sensor in a measurement, as was said when it was last diagnosed by itself."""
-        query = select(DiagnosisRow.request).where(DiagnosisRow.measurement == measurement)
-        with self._session() as session:
-            for request in session.scalars(query.order_by(DiagnosisRow.number.desc()).limit(MOST_ASKED)):
-                if request.get("mapping") and not request.get("measurements"):
-                    return dict(request["mapping"])
-        return {}
 
     def deleted_of(self, diagnosis: DiagnosisRow) -> list[str]:
         """Return which of the measurements of a diagnosis were deleted."""

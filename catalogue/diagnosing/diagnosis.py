@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from jointplay.catalogue.diagnosing.answer import Diagnosis
 from jointplay.catalogue.diagnosing.hearing import hear
 from jointplay.catalogue.diagnosing.known_machine import KnownMachine
+from jointplay.catalogue.diagnosing.past_recordings import InOrder
 from jointplay.catalogue.diagnosing.question import Question
 from jointplay.catalogue.diagnosing.telling import tell
 from jointplay.catalogue.diagnosing.together import diagnose_together
@@ -32,7 +33,7 @@ def diagnose(
     cases: int = 2304,
     prior: Prior | None = None,
     limits_um: Mapping[str, float] | None = None,
-    baseline: Recording | Sequence[Recording] | None = None,
+    baseline: Recording | InOrder | Sequence[Recording | InOrder] | None = None,
     library: ModelLibrary | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Diagnosis:
@@ -52,9 +53,10 @@ def diagnose(
         See :class:`Question`.
     mapping : mapping of str to str, optional
         Sensor of each column, for columns not named like their sensor.
-    baseline : Recording or sequence of Recording, optional
+    baseline : Recording, InOrder or sequence of these, optional
         Recordings of the same machine in order by the same sensors: they fit what is uncertain about machine and
-        sensors, and are what the recording is compared with as such.
+        sensors, and are what the recording is compared with as such. Each by `mapping` and at the speed that is
+        estimated, unless an :class:`~jointplay.catalogue.diagnosing.past_recordings.InOrder` says otherwise.
     library : ModelLibrary, optional
         Answers, and keeps what was learned for the next recording; the catalogue's own unless given. One of another
         method is a :class:`jointplay.catalogue.evaluation.cross_checks.MethodLibrary`.

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from jointplay.catalogue.diagnosing.answer_of_baseline import BaselineRecording, BaselineShown
 from jointplay.catalogue.diagnosing.baseline import Baseline, fit_baseline
-from jointplay.catalogue.diagnosing.question import MOST_TOGETHER
 from jointplay.catalogue.diagnosing.stroke_loads import FoundLoad
 from jointplay.catalogue.diagnosing.told import ToldNumbers
 from jointplay.catalogue.diagnosing.told_numbers import tell_numbers
-from jointplay.catalogue.errors import DiagnosisError
-from jointplay.catalogue.measurements.measurement import Recording
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.arrays import FloatArray
@@ -84,17 +81,3 @@ class KnownMachine:
             gains=found.gains,
             heard=heard,
         )
-
-
-def recordings_in_order(given: Recording | Sequence[Recording] | None) -> dict[str, Recording]:
-    """Recordings of a machine in order by checksum, none of them twice; empty where there are none.
-
-    Raises
-    ------
-    DiagnosisError
-        There are too many.
-    """
-    found = [] if given is None else [given] if isinstance(given, Recording) else list(given)
-    if len(found) > MOST_TOGETHER:
-        raise DiagnosisError(f"baseline: {len(found)}: must be at most {MOST_TOGETHER} recordings")
-    return {each.sha256: each for each in found}

@@ -14,10 +14,16 @@ from jointplay.catalogue.diagnosing.answer import Diagnosis, EffortSpent, Record
 from jointplay.catalogue.diagnosing.causes import NamedCause
 from jointplay.catalogue.diagnosing.heard import Heard
 from jointplay.catalogue.diagnosing.hearing import hear
-from jointplay.catalogue.diagnosing.known_machine import KnownMachine, recordings_in_order
+from jointplay.catalogue.diagnosing.known_machine import KnownMachine
+from jointplay.catalogue.diagnosing.past_recordings import (
+    InOrder,
+    prepare_past,
+    recordings_in_order,
+    sensors_by_column,
+)
 from jointplay.catalogue.diagnosing.question import MOST_TOGETHER, Question
 from jointplay.catalogue.diagnosing.telling import tell
-from jointplay.catalogue.diagnosing.verdict import SURE_ABOVE, judge, needs_cause, past_warnings
+from jointplay.catalogue.diagnosing.verdict import SURE_ABOVE, judge, needs_cause
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.matching.matcher import MatchResult
 from jointplay.catalogue.matching.model_library import ModelLibrary, library_of
@@ -47,7 +53,7 @@ def diagnose_together(
     cases: int = 2304,
     prior: Prior | None = None,
     limits_um: Mapping[str, float] | None = None,
-    baseline: Recording | Sequence[Recording] | None = None,
+    baseline: Recording | InOrder | Sequence[Recording | InOrder] | None = None,
     library: ModelLibrary | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Diagnosis:
@@ -89,7 +95,7 @@ def diagnose_together(
     different = _different(recordings, given)
     columns = {name for recording, _ in different for name in recording.channel_names}
     in_order = recordings_in_order(baseline)
-    columns.update(name for each in in_order.values() for name in each.channel_names)
+    columns.update(name for each in in_order.values() for name in each.recording.channel_names)
 
     def own(recording: Recording | MeasuredSpectrum) -> dict[str, str]:
         """A column that only some have is mapped there; one that none has is refused by name."""
@@ -103,10 +109,12 @@ def diagnose_together(
             if len(different) > 1:
                 raise DiagnosisError(f"baseline: {recording.name}: must be none of those that are compared with it")
             warnings.append(f"baseline {recording.name}: is what is diagnosed: left out")
-    past = {key: prepare(each, catalogue.machine, own(each), None, *scale) for key, each in in_order.items()}
-    warnings += past_warnings(list(past.values()), catalogue)
-    usable = {key: each for key, each in past.items() if not each.flaws}
-    known = KnownMachine.of(usable, catalogue) if usable else None
+    known = None
+    if in_order:
+        heard_by = [sensors_by_column(recording, catalogue.machine, own(recording)) for recording, _ in different]
+        past, told = prepare_past(in_order, own, heard_by, catalogue)
+        known = KnownMachine.of(past, catalogue) if past else None
+        warnings += told
     shelf = library or library_of(catalogue)
     heard = []
     for recording, speed in different:

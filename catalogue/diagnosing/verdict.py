@@ -211,17 +211,6 @@ def speed_warnings(prepared: PreparedMeasurement, catalogue: Catalogue) -> list[
     return [f"drive speed {rpm:.4g} rpm lies outside the catalogue's {low:.4g} to {high:.4g} rpm"]
 
 
-def past_warnings(past: Sequence[PreparedMeasurement], catalogue: Catalogue) -> list[str]:
-    """Tell what is to be said of recordings of the machine in order, each thing once."""
-    said: dict[str, list[str]] = {}
-    for each in past:
-        flawed = [f"{flaw.text}: left out" for flaw in each.flaws]
-        texts = {flaw.text for flaw in each.flaws}
-        for line in (*flawed, *(line for line in each.warnings if line not in texts), *speed_warnings(each, catalogue)):
-            said.setdefault(line, []).append(each.name)
-    return [f"baseline {', '.join(names)}: {line}" for line, names in said.items()]
-
-
 def number_warnings(baseline: Baseline, catalogue: Catalogue) -> list[str]:
     """Warn of fitted numbers of the machine that lie outside of what the catalogue's entries have."""
     ranges = catalogue.matrix.ranges.parameters

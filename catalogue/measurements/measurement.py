@@ -151,18 +151,6 @@ class Recording:
         """Names of the channels, (c,)."""
         return tuple(channel.name for channel in self.channels)
 
-    def renamed(self, mapping: Mapping[str, str]) -> Recording:
-        """Return it with channels called as the sensors that they are; without those that are mapped to an empty text.
-
-        Nor has it any other channel that is called as one of these sensors. What is mapped, but not there, is not
-        looked at.
-        """
-        names = {name: mapping.get(name, "" if name in mapping.values() else name) for name in self.channel_names}
-        kept = [place for place, name in enumerate(self.channel_names) if names[name]]
-        channels = tuple(replace(self.channels[place], name=names[self.channels[place].name]) for place in kept)
-        flaws = tuple(replace(each, channel=names[each.channel]) for each in self.flaws if names[each.channel])
-        return replace(self, signal=self.signal[:, kept], channels=channels, flaws=flaws)
-
 
 def read_measurement(
     source: str | Path | bytes,

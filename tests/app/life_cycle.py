@@ -12,7 +12,7 @@ from sqlalchemy import event
 from sqlalchemy.orm import Session
 
 from jointplay.app.schemas.assets import FindingIn
-from jointplay.app.storage.assets import Assets
+from jointplay.app.storage.assets import AsRead, Assets
 from jointplay.app.storage.pruning import Pruner
 from jointplay.app.storage.retention import kept_of
 from jointplay.app.storage.rows import MeasurementRow, now
@@ -37,15 +37,16 @@ def diagnosed(
     asset: str | None = None,
     catalogue: str = "c",
     verdict: str = "unknown",
+    **members: Any,
 ) -> str:
     ids = [each.id for each in measurements]
     request = {"asset": asset, "measurements": ids if len(ids) > 1 else None}
 
     def also(session: Session, key: str, new: bool) -> None:
         if asset is not None:
-            Assets(store.database).note(session, asset, ids, key)
+            Assets(store.database).note(session, asset, dict.fromkeys(ids, AsRead({})), key)
 
-    result = diagnosis(verdict=verdict, hash=f"{verdict:0<64}")  # another answer has another one
+    result = diagnosis(**members, verdict=verdict, hash=f"{verdict:0<64}")  # another answer has another one
     return store.add_diagnosis(NewDiagnosis(ids[0], catalogue, MACHINE, request, result, also)).id
 
 

@@ -183,7 +183,8 @@ def test_the_newest_diagnosis_of_a_recording_is_drawn_and_all_are_listed() -> No
         diagnosed(1, "worn", B=100.0),
     ]
     text_only = FindingRow(at=day(5), joints={}, text="noise", diagnosis="d30")
-    shown = history(past, {f"m{number}": measured(number) for number in range(1, 6)}, [text_only])
+    rows = {f"m{number}": measured(number) for number in range(1, 6)}
+    shown = history(past, rows, {key: row.measured_at for key, row in rows.items()}, [text_only])
     assert [row["short"] for row in shown["rows"]] == [
         "changed",
         "no verdict",
@@ -230,7 +231,7 @@ def test_the_next_recording_is_compared_with_the_catalogue_of_the_last(
 
 
 def test_a_past_without_wear_is_drawn() -> None:
-    drawn = chart([diagnosed(2, "in_order")], {"m2": measured(2)}, [])
+    drawn = chart([diagnosed(2, "in_order")], {"m2": day(2)}, [])
     assert drawn["joints"] == [] and "No joint was found worn." in drawn["summary"]
 
 

@@ -212,7 +212,7 @@ class Behind(Background):
         return key in self.at_work
 
 
-BASELINE = ("order.csv", "order.csv", Told(), {})
+BASELINE = ("order.csv", "order.csv", Told(), None, None)
 THOROUGH = tasks.DiagnosisTask("slider-crank", "", (None,), "thorough", "auto", {}, {}, (BASELINE,))
 WORN = ("worn.csv", "worn.csv", Told())
 

@@ -75,7 +75,7 @@ def test_a_recording_that_is_not_what_was_stored_is_never_read(tmp_path: Path, k
         _, path = kept(store)
     readers: dict[str, Callable[[], object]] = {
         "diagnosed": lambda: tasks.summarise(str(path), "a.csv", Told()),
-        "baseline": lambda: tasks.in_order((str(path), "a.csv", Told(), {})),
+        "baseline": lambda: tasks.in_order((str(path), "a.csv", Told(), None, None)),
         "bytes": lambda: read_bytes(path),
     }
     assert read_bytes(path) == b"bytes"

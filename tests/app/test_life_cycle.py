@@ -202,7 +202,7 @@ def test_an_asset_that_is_deleted_while_something_works_for_it(store: Store) -> 
     with pytest.raises(UnknownAssetError, match=gone):
         assets.own("press-7", row.id)
     with pytest.raises(UnknownAssetError, match=gone), store.database.writing() as session:
-        assets.note(session, "press-7", [], key)
+        assets.note(session, "press-7", {}, key)
     upload = store.uploads.receive(io.BytesIO(b"late"))
     with pytest.raises(UnknownAssetError, match=gone):
         store.add_measurement(

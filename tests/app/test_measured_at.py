@@ -47,6 +47,9 @@ def test_who_says_it_is_stored_with_it(store: Store) -> None:
     assert plain.summary == {"samples": 3}
     of_file = store.add_measurement(uploaded(store), "b.csv", None, {"measured_at": AT.isoformat()})
     assert (of_file.measured_at, of_file.measured_at_source) == (AT, "file")
+    ahead = {"measured_at": (datetime.now(UTC) + timedelta(hours=1)).isoformat()}
+    local = store.add_measurement(uploaded(store), "local.csv", None, ahead)
+    assert (local.measured_at, local.measured_at_source) == (local.created_at, "received")
     later = AT + timedelta(days=1)
     said = store.add_measurement(uploaded(store), "c.csv", Told(measured_at=later), {"measured_at": AT.isoformat()})
     assert (said.measured_at, said.measured_at_source) == (later, "sender")

@@ -85,6 +85,7 @@ def test_the_page_shows_it_and_it_can_be_changed(client: httpx.Client, confirmed
     assert sent.status_code == 303, sent.text
     page = client.get(sent.headers["location"]).text
     assert "As confirmed for the last recording of own-columns with these columns." in page
+    assert "no column is a sensor" not in page and "Found in the recording" in page, page
     chosen = re.findall(r'<option value="([^"]*)" selected>\1</option>', page)
     assert chosen[: len(confirmed)] == list(confirmed.values())
     last = len(confirmed) - 1
@@ -114,9 +115,29 @@ def test_a_baseline_keeps_its_sensors_when_they_are_plugged_in_otherwise(client:
     for member in ("verdict", "hypotheses", "past", "baseline"):
         assert otherwise[member] == as_before[member]
     (told,) = set(otherwise["warnings"]) - set(as_before["warnings"])
-    assert re.fullmatch("baseline 1.csv: column ch0, ch1, ch2, ch3: is another sensor here .*, as was said of it", told)
+    assert re.fullmatch(
+        "baseline 1.csv: column ch0, ch1, ch2, ch3: is another sensor there .*, as was said of it", told
+    )
     again = client.get(f"{API}/diagnoses/{otherwise['id']}/verification").json()
     assert again["repeated"] == "equal", again
+
+
+def test_what_was_said_of_a_recording_is_not_what_was_said_of_the_last_one(client: httpx.Client) -> None:
+    """Also of a stored one that is asked about again, and of two with the same columns that were plugged otherwise."""
+    asset = "plugged-twice"
+    client.put(f"{API}/assets/{asset}", json={"machine": "slider-crank"}).raise_for_status()
+    keys = []
+    for number, step in ((1, 1), (2, -1)):
+        mapping = json.dumps(renamed(number, step=step)[1])
+        keys.append(send(client, asset, number, step=step, units=UNITS, mapping=mapping).json()["measurement"])
+    again = {**CATALOGUE, "asset": asset, "measurement": keys[0], "effort": "standard"}
+    answer = client.post(f"{API}/diagnoses", json=again).json()
+    assert (answer["mapping"], answer["verdict"]) == (renamed(1)[1], "in_order")
+    together = {**CATALOGUE, "asset": asset, "measurements": keys}
+    refused = client.post(f"{API}/diagnoses", json=together)
+    assert_problem(refused, 422, "mapping: column ch3: is s1-x in one of them and s2-y in another, as was said of them")
+    # The next file is read as the last one was said to be.
+    assert send(client, asset, 3, step=-1).json()["mapping"] == renamed(3, step=-1)[1]
 
 
 def test_recordings_with_different_columns_have_one_answer_by_what_was_said_of_each(client: httpx.Client) -> None:
@@ -138,7 +159,7 @@ def test_recordings_with_different_columns_have_one_answer_by_what_was_said_of_e
     other = client.post(f"{API}/diagnoses", files={"file": ("4.csv", content)}, data=form).json()
     together["measurements"] = [keys[0], other["measurement"]]
     refused = client.post(f"{API}/diagnoses", json=together)
-    assert_problem(refused, 422, "mapping: column ch3: was sensor s1-x and s2-y: must be given")
+    assert_problem(refused, 422, "mapping: column ch3: is s1-x in one of them and s2-y in another, as was said of them")
 
 
 def test_what_was_said_last_is_kept_in_every_database(store: Store) -> None:

@@ -8,6 +8,7 @@ from datetime import datetime, timedelta
 from typing import Any, cast
 
 import pytest
+from answers import hypothesis, joint
 from life_cycle import diagnosed, stored
 from sqlalchemy import text
 
@@ -23,7 +24,7 @@ from jointplay.app.storage.standings import Standings, standing_out
 from jointplay.app.storage.store import Store
 from jointplay.catalogue.errors import DiagnosisError
 from jointplay.catalogue.following.standing import JointKnown, Known
-from jointplay.catalogue.following.state import CauseFollowed, WearState
+from jointplay.catalogue.following.state import CauseFollowed, Repair, WearState
 
 
 class Failing:
@@ -93,17 +94,38 @@ def again(store: Store) -> None:
 
 
 class Following:
-    """Workers that find another cause than play in whatever they follow."""
+    """Workers that find causes other than play, or repairs, in whatever they follow."""
+
+    def __init__(self, *repairs: Repair, **causes: CauseFollowed) -> None:
+        self.found = (repairs, causes)
 
     async def run(self, *_: Any) -> WearState:
-        cause = CauseFollowed(
-            unit="x stiffness", probability=0.97, size=0.62, per_year=-0.21, since=now(), since_baseline=True
-        )
-        return WearState(at=now(), visits=2, joints={}, causes={"mount 1": cause}, repairs=())
+        repairs, causes = self.found
+        return WearState(at=now(), visits=2, joints={}, causes=causes, repairs=repairs)
+
+
+def test_what_was_probably_worn_and_repaired_since_is_no_reason(store: Store) -> None:
+    """A verdict of wear may name joints of which none is sure."""
+    Assets(store.database).put("press-7", AssetIn(machine="press"))
+    said = {
+        "joints": {name: joint("open", 200.0, 0.6) for name in "AB"},
+        "hypotheses": [hypothesis("A", 0.6, A=200.0), hypothesis("B", 0.4, B=200.0)],
+    }
+    diagnosed(store, stored(store), asset="press-7", verdict="worn", **said)
+    for name, state in (("B", "watch"), ("A", "in_order")):
+        with store.database.writing() as session:
+            session.get_one(AssetRow, asset(store).number).changes += 1
+        again(store)
+        repair = Repair(at=now() + timedelta(minutes=1), joint=name, probability=1.0)
+        assert step(StandingKeeper(store, cast(WorkerPool, Following(repair))))
+        assert asset(store).state == state, asset(store).reasons
 
 
 def test_a_cause_other_than_play_is_a_reason_and_outlives_a_failure(alarmed: Store) -> None:
-    assert step(StandingKeeper(alarmed, cast(WorkerPool, Following())))
+    cause = CauseFollowed(
+        unit="x stiffness", probability=0.97, size=0.62, per_year=-0.21, since=now(), since_baseline=True
+    )
+    assert step(StandingKeeper(alarmed, cast(WorkerPool, Following(**{"mount 1": cause}))))
     told = {"about": "cause mount 1", "state": "watch"}
     text = "Since its baseline, besides play: mount 1, 0.62 x stiffness (-0.21 a year), 97 %."
     assert {**told, "text": text} in asset(alarmed).reasons

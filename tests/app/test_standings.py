@@ -22,7 +22,7 @@ from jointplay.app.jobs.following import gather
 from jointplay.app.schemas.assets import AssetIn, FindingIn
 from jointplay.app.schemas.webhooks import EVENTS
 from jointplay.app.storage.asset_rows import AssetRow
-from jointplay.app.storage.assets import Assets
+from jointplay.app.storage.assets import AsRead, Assets
 from jointplay.app.storage.build_queue import BuildQueue
 from jointplay.app.storage.rows import now
 from jointplay.app.storage.standings import LEASE, Due, Standings, standing_out
@@ -283,7 +283,7 @@ def test_whatever_counts_makes_an_asset_due(stores: list[Store]) -> None:
         MACHINE,
         {"asset": "press-7"},
         diagnosis(),
-        lambda session, key, new: assets.note(session, "press-7", [measured.id], key),
+        lambda session, key, new: assets.note(session, "press-7", {measured.id: AsRead({})}, key),
     )
     answered = store.add_diagnosis(new)
     assert settled().changes == before.changes + 3

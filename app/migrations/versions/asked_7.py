@@ -1,4 +1,4 @@
-"""A diagnosis of an asset says when its question was asked again, after another one."""
+"""What was asked last of an asset: when, where it was asked before, and by which sensors and speed of a recording."""
 
 import sqlalchemy as sa
 from alembic import op
@@ -10,7 +10,11 @@ down_revision = "6"
 
 
 def upgrade() -> None:
-    """Add the column where there is none."""
-    there = {each["name"] for each in sa.inspect(op.get_bind()).get_columns("asset_diagnoses")}
-    if "asked_again_at" not in there:
-        op.add_column("asset_diagnoses", sa.Column("asked_again_at", UtcDateTime()))
+    """Add columns where there are none."""
+    for table, column in (
+        ("asset_diagnoses", sa.Column("asked_again_at", UtcDateTime())),
+        ("asset_measurements", sa.Column("mapping", sa.JSON())),
+        ("asset_measurements", sa.Column("speed", sa.Double())),
+    ):
+        if column.name not in {each["name"] for each in sa.inspect(op.get_bind()).get_columns(table)}:
+            op.add_column(table, column)
