@@ -45,6 +45,8 @@ DECAYS = 3.0
 UNDAMPED = 1e-4
 #: The course is looked at so many times a revolution.
 LOOKS = 8
+#: A machine stands where its frame shakes less than so much of what it does elsewhere. Chosen, not measured.
+STANDING = 0.5
 #: Revolutions over which its change is taken at least, and the relative change that is more than its speeds' errors.
 LAG_REVOLUTIONS, COURSE_ERROR = 2, 0.03
 #: Degree of the polynomial that a piece's course is smoothed by, and how far beyond its ends, in its lengths.
@@ -111,7 +113,8 @@ def cut_by_speed(
     if np.count_nonzero(np.isfinite(course.speed)) < 2:
         return Cut((recording,))
     time, speed = _looked_at(course, recording.duration, float(stored[-1]))
-    if np.abs(speed / np.median(speed) - 1.0).max() <= COVERED:
+    seen = speed[np.isfinite(speed)]
+    if np.abs(seen / np.median(seen) - 1.0).max() <= COVERED and not _stands(recording, columns, time, speed):
         return Cut((recording,))  # one piece, the whole: most recordings
     nearest = np.abs(np.log(stored[:, None] / speed)).argmin(axis=0)
     nearest[~(np.abs(speed / stored[nearest] - 1.0) <= SEARCH_RANGE)] = -1
@@ -189,6 +192,17 @@ def _looked_at(course: SpeedCourse, duration: float, fastest: float) -> tuple[Fl
     place = np.clip(np.searchsorted(course.time, time), 1, len(course.time) - 1)
     nearer = np.where(time - course.time[place - 1] < course.time[place] - time, place - 1, place)
     return time, np.where(known[nearer], found, np.nan)
+
+
+def _stands(recording: Recording, columns: list[int], time: FloatArray, speed: FloatArray) -> bool:
+    """Whether it is quiet where no speed is to be seen, as of a machine that stands, rather than disturbed."""
+    unseen = np.isnan(speed)
+    if not unseen.any():
+        return False
+    place = np.searchsorted(time, np.arange(len(recording.signal)) / recording.sample_rate, side="right") - 1
+    there = unseen[place]
+    signal = recording.signal[:, columns]
+    return bool(signal[there].std(axis=0).sum() < STANDING * signal[~there].std(axis=0).sum())
 
 
 def _followed(time: FloatArray, speed: FloatArray, machine: Machine) -> BoolArray:

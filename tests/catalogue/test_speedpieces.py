@@ -121,6 +121,19 @@ def test_steady_recordings_stay_as_they_are(name: str) -> None:
         assert cut_by_speed(recording, machine, speeds).pieces == (recording,)
 
 
+@pytest.mark.parametrize(("loud", "pieces"), [(0.02, 2), (1.0, 1), (10.0, 1), (50.0, 1)])
+def test_a_noise_in_what_is_steady_does_not_cut_it_and_a_standstill_does(loud: float, pieces: int) -> None:
+    """Orders are not seen while something else is louder, nor while the machine stands."""
+    recording, _ = turned([(0.0, 1.0), (30.0, 1.0)])
+    signal = recording.signal.copy()
+    there = slice(round(14.0 * FS), round(15.5 * FS))
+    noise = loud * np.random.default_rng(5).normal(size=signal[there].shape)
+    signal[there] = noise + (signal[there] if loud > 0.1 else 0.0)
+    course = find_course(signal, FS, 0.7 * SPEED, 1.35 * SPEED)
+    assert np.isfinite(course.speed).all() == (loud == 1.0)
+    assert len(cut_by_speed(replace(recording, signal=signal), MACHINE, SPEEDS).pieces) == pieces
+
+
 @pytest.mark.parametrize(("course", "searches"), [([(0.0, 1.0), (4.0, 1.01)], 1), (UP, 2)], ids=["steady", "up"])
 def test_what_is_steady_is_looked_at_as_it_is_alone(
     course: Course, searches: int, monkeypatch: pytest.MonkeyPatch
