@@ -102,7 +102,9 @@ class Questions:
         for key, names in columns.items():
             known = self.remembered_sensors(asked.asset.external_id, key, names)
             mapping |= known
-            found = dict.fromkeys(names, "") | match_by_name(names, asked.offer.machine) | known
+            # Of columns without a name of a sensor nothing is known where nothing was said of any.
+            others = dict.fromkeys(names if known else (), "")
+            found = others | match_by_name(names, asked.offer.machine) | known
             for name, sensor in found.items():
                 if sensors.setdefault(name, sensor) != sensor:
                     said = " in one of them and ".join(sorted(each or "no sensor" for each in (sensors[name], sensor)))
@@ -132,7 +134,7 @@ class Questions:
     def _check_one_state(self, rows: Sequence[MeasurementRow], asset: AssetRow, field: str) -> None:
         """Refuse recordings of an asset between which a joint was repaired: one answer is of one state."""
         with self.store.database.reading() as session:
-            made = moments_of(session, asset.external_id)
+            made = moments_of(session, asset.external_id, [row.id for row in rows])
         moments = [made.get(row.id, row.measured_at) for row in rows]
         for found in Assets(self.store.database).findings_of(asset, MOST_LESSONS, damaged=[]):
             repaired = sorted(name for name, told in found.joints.items() if told.get("repaired"))
@@ -177,6 +179,9 @@ class Questions:
         # What the others are compared with is no evidence of the present state.
         among = measurements_of(asset.external_id)
         rows = self.store.measurements_between(among, *window, MOST_TOGETHER + 1, without=known)
+        with self.store.database.reading() as session:  # one that was sent again was made before
+            made = moments_of(session, asset.external_id, [row.id for row in rows])
+        rows = [row for row in rows if made[row.id] >= request.since]
         if not 1 <= len(rows) <= MOST_TOGETHER:
             count = len(rows) if len(rows) <= MOST_TOGETHER else f"more than {MOST_TOGETHER}"
             raise BadFieldError(

@@ -257,7 +257,7 @@ class Service:
             if new:
                 announce(session, key, external_id, result)
             # One that was deleted may be another one of that name since.
-            if external_id and Assets(self.store.database).note(session, external_id, read, key):
+            if external_id and Assets(self.store.database).note(session, external_id, read, key, again=not new):
                 for (columns, told), mapping in zip(recordings, own, strict=True):
                     said = mapping if is_said else None
                     Remembered(self.store.database).remember(session, external_id, columns, told.shown, said)

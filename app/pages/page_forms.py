@@ -110,12 +110,12 @@ class Beside:
     ----------
     row : DiagnosisRow
         Their answer.
-    columns : sequence of str
-        Of the first of them.
+    columns : mapping of str to sequence of str
+        Of each of them, by its id.
     """
 
     row: DiagnosisRow
-    columns: Sequence[str]
+    columns: Mapping[str, Sequence[str]]
 
     def join(self, members: Mapping[str, Any], machine: Machine) -> dict[str, Any]:
         """Return what is asked about one more recording as a question about all.
@@ -148,14 +148,15 @@ class Beside:
             When a column of both is one sensor here, and another one there.
         """
         before = self.row.request.get("mapping", {})
-        for column in set(columns) & set(self.columns):
-            here, there = (
-                {**match_by_name(names, machine), **said}.get(column) or NOT_USED
-                for names, said in ((columns, mapping), (self.columns, before))
-            )
-            if here != there:
-                said = f"column {column[:80]}: is {here} here and {there} in {self.row.measurement}"
-                raise BadFieldError(f"{said}: must be one sensor in all recordings of an answer", field="mapping")
+        for measurement, own in self.columns.items():
+            for column in set(columns) & set(own):
+                here, there = (
+                    {**match_by_name(names, machine), **said}.get(column) or NOT_USED
+                    for names, said in ((columns, mapping), (own, before))
+                )
+                if here != there:
+                    said = f"column {column[:80]}: is {here} here and {there} in {measurement}"
+                    raise BadFieldError(f"{said}: must be one sensor in all recordings of an answer", field="mapping")
         return {**before, **mapping}
 
 

@@ -34,7 +34,7 @@ from jointplay.app.storage.asset_rows import AssetRow
 from jointplay.app.storage.assets import Assets, asked, diagnoses_of, measurements_of
 from jointplay.app.storage.repairs import is_between, repairs_of
 from jointplay.app.storage.rows import Damaged, DiagnosisRow, MeasurementRow, now
-from jointplay.app.storage.standings import Standings, moments_of
+from jointplay.app.storage.standings import Standings, moments_of, turn_of
 from jointplay.app.words import colour_sentence, spell_moment
 
 router = APIRouter(prefix="/assets")
@@ -270,7 +270,7 @@ def past(service: Service, external_id: str, cursor: str | None) -> dict[str, An
     measurements = {each.id: each for each in store.measurements(None, len(used), among, damaged, gone=True)}
     own = store.measurements(None, SHOWN, measurements_of(external_id), damaged)
     with store.database.reading() as session:
-        made, turns = moments_of(session, external_id), asked(session, external_id)
+        made, turns = moments_of(session, external_id, used), asked(session, external_id)
     diagnoses = [each for each in diagnoses if measurements.keys() & made.keys() >= set(each.measurements)]
     diagnoses.sort(key=lambda each: turns[each.id], reverse=True)
     own.sort(key=lambda each: (each.measured_at, each.number), reverse=True)
@@ -282,8 +282,10 @@ def past(service: Service, external_id: str, cursor: str | None) -> dict[str, An
     if diagnoses and cursor is None:
         mended = repairs_of(findings)
 
-        def turn(each: DiagnosisRow) -> tuple[bool, datetime]:
-            return not is_between(mended, [made[key] for key in each.measurements]), measured(each, made)
+        def turn(each: DiagnosisRow) -> tuple[bool, datetime, int]:
+            moments = [made[key] for key in each.measurements]
+            counts = -turn_of(len(moments), each.result["verdict"])
+            return not is_between(mended, moments), max(moments), counts
 
         last = max(diagnoses, key=turn)  # of alike ones the first, which was asked last
         since = [each.joints for each in findings if each.at > measured(last, made)]

@@ -13,6 +13,7 @@ from urllib.parse import urlencode
 
 from fastapi import APIRouter, Request
 from fastapi.exceptions import RequestValidationError
+from sqlalchemy import select
 from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.responses import RedirectResponse, Response
@@ -269,7 +270,9 @@ def beside_of(service: Service, given: Mapping[str, str]) -> Beside | None:
         row = service.store.diagnosis(given["beside"])
     except (UnknownDiagnosisError, DeletedError) as error:
         raise BadFieldError(f"beside: {error}", field="beside") from None
-    return Beside(row, columns_of(service.store.measurement_of(row).summary))
+    among = select(MeasurementRow.id).where(MeasurementRow.id.in_(row.measurements))
+    found = service.store.measurements(None, len(row.measurements), among, [], gone=True)
+    return Beside(row, {each.id: columns_of(each.summary) for each in found})
 
 
 def show_beside(service: Service, given: Mapping[str, str]) -> dict[str, Any] | None:

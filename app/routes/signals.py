@@ -16,6 +16,7 @@ from jointplay.app.http.openapi import problems
 from jointplay.app.http.query import chosen_type
 from jointplay.app.jobs import signals
 from jointplay.app.jobs.samples import StoredRecording
+from jointplay.app.questions import columns_of
 from jointplay.app.schemas.signals import SignalOut, SignalQuery, SignalRow
 from jointplay.app.service import Service, of_request
 from jointplay.app.speeds import speed_of
@@ -82,6 +83,8 @@ async def look(service: Service, key: str, query: SignalQuery, kind: str) -> byt
         if own := read.get(row.id):
             mapping = mapping if own["mapping"] is None else own["mapping"]
             speed = own["speed"] if speed is None else speed
+        # It may be of others that have an answer together with this one.
+        mapping = {column: sensor for column, sensor in mapping.items() if column in columns_of(row.summary)}
         best = diagnosis.answer.hypotheses[0].joints
         clearances = {joint: found.clearance_um * 1e-6 for joint, found in best.items()}
         # Another recording of the machine turned at a speed of its own.

@@ -214,7 +214,15 @@ class Assets:
         if session.execute(insert.returning(AssetMeasurementRow.asset)).first() is not None:
             note(session, "gained", "asset", external_id, after={"measurement": measurement})
 
-    def note(self, session: Session, external_id: str, measurements: Mapping[str, AsRead], diagnosis: str) -> bool:
+    def note(
+        self,
+        session: Session,
+        external_id: str,
+        measurements: Mapping[str, AsRead],
+        diagnosis: str,
+        *,
+        again: bool = False,
+    ) -> bool:
         """Note in a transaction that a diagnosis, and what it is of, belong to an asset; return whether that is new.
 
         One that was asked before, but not last, counts as asked last from now on.
@@ -226,6 +234,8 @@ class Assets:
         measurements : mapping of str to AsRead
             By id.
         diagnosis : str
+        again : bool
+            Whether it was there before, perhaps of an asset of this name that was deleted since.
 
         Raises
         ------
@@ -236,16 +246,18 @@ class Assets:
         for measurement, read in measurements.items():
             self.own_in(session, external_id, measurement)
             which = (AssetMeasurementRow.asset == external_id, AssetMeasurementRow.measurement == measurement)
-            said = {"mapping": dict(read.mapping), "speed": read.speed}
+            said: dict[str, Any] = {"mapping": dict(read.mapping)}
+            if read.speed is not None:  # that nobody said it again takes nothing back
+                said["speed"] = read.speed
             session.execute(update(AssetMeasurementRow).where(*which).values(said))
-        row = {"asset": external_id, "diagnosis": diagnosis}
+        row = {"asset": external_id, "diagnosis": diagnosis, "asked_again_at": now() if again else None}
         insert = self._database.insert(AssetDiagnosisRow).values(row).on_conflict_do_nothing()
         is_new = session.execute(insert.returning(AssetDiagnosisRow.asset)).first() is not None
         is_last = is_new
         if not is_new and (turns := asked(session, external_id))[diagnosis] < max(turns.values()):
             is_last = True
-            again = update(AssetDiagnosisRow).where(AssetDiagnosisRow.diagnosis == diagnosis)
-            session.execute(again.values(asked_again_at=now()))
+            its = update(AssetDiagnosisRow).where(AssetDiagnosisRow.diagnosis == diagnosis)
+            session.execute(its.values(asked_again_at=now()))
         if is_last:
             touch(session, AssetRow.external_id == external_id)
         return is_new

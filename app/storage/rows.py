@@ -233,7 +233,7 @@ UNREADABLE = (DamagedRowError, DamagedDatabaseError, ValueError, TypeError, Data
 
 def is_passing(error: Exception) -> bool:
     """Return whether a database could not be asked, rather than not be read."""
-    return isinstance(error, OperationalError) and "decode" not in str(error)
+    return isinstance(error, OperationalError) and not any(said in str(error) for said in ("decode", "malformed JSON"))
 
 
 def name_of(session: Session, table: Any, number: int) -> str:

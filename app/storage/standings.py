@@ -6,7 +6,7 @@ what is told of it. So a server that is killed loses nothing, and of two that ju
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Any
@@ -48,8 +48,8 @@ from jointplay.catalogue.following.standing import (
 MOST_VISITS = 2000
 """Diagnoses of an asset that are looked at, the newest so many."""
 
-SAYING = ("sender", "file", "received")
-"""Who says when a recording was made, the surest first."""
+SAYING = {"sender": 0, "file": 1, "received": 2}
+"""How sure it is when a recording was made by who says it, the surest first."""
 
 LEASE = timedelta(seconds=300)
 """Longer than judging takes: an asset that was taken by a server that died is due again after it."""
@@ -225,14 +225,18 @@ class Standings:
         row.said = holds
 
 
-def moments_of(session: Session, external_id: str) -> dict[str, datetime]:
-    """Return when the recordings of an asset were made, by their ids.
+def moments_of(session: Session, external_id: str, which: Collection[str] | None = None) -> dict[str, datetime]:
+    """Return when the recordings of an asset were made, by their ids; all, or those of the bytes that some have.
 
     Raises
     ------
     DamagedRowError
     """
     query = select(MeasurementRow).where(MeasurementRow.id.in_(measurements_of(external_id)))
+    if which is not None:
+        query = query.where(
+            MeasurementRow.sha256.in_(select(MeasurementRow.sha256).where(MeasurementRow.id.in_(which)))
+        )
     columns = (MeasurementRow.id, MeasurementRow.sha256, MeasurementRow.measured_at, MeasurementRow.measured_at_source)
     return {key: moment for key, (_, moment) in made_once(read_columns(session, query, *columns)).items()}
 
@@ -251,7 +255,7 @@ def made_once(recordings: Iterable[tuple[str, str, datetime, str]]) -> dict[str,
     made: dict[str, tuple[int, datetime]] = {}
     bytes_of = {}
     for key, sha256, at, source in recordings:
-        moment = (SAYING.index(source), at)
+        moment = (SAYING.get(source, len(SAYING)), at)
         made[sha256] = min(made.get(sha256, moment), moment)
         bytes_of[key] = sha256
     return {key: (sha256, made[sha256][1]) for key, sha256 in bytes_of.items()}

@@ -205,7 +205,7 @@ class Store:
             new = True
         if new:
             self._quotas.take(session, upload.size)
-        is_first_told = source == "file" and kept.measured_at_source == "received"
+        is_first_told = source == "file" and kept.measured_at_source == "received" and of_file < kept.created_at
         if new:
             audit.note(session, "made", "measurement", kept.id, after=about_measurement(kept))
         elif told.measured_at is not None or is_first_told:

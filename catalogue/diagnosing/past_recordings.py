@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from jointplay.catalogue.diagnosing.question import MOST_TOGETHER
@@ -12,7 +12,7 @@ from jointplay.catalogue.measurements.measured_spectrum import MeasuredSpectrum
 from jointplay.catalogue.measurements.measurement import Recording
 from jointplay.catalogue.signals.features import prepare
 from jointplay.catalogue.signals.prepared import PreparedMeasurement
-from jointplay.catalogue.signals.sensors import map_sensors
+from jointplay.catalogue.signals.sensors import map_sensors, match_by_name
 from jointplay.catalogue.storage.store import Catalogue
 from jointplay.solver.machines.machine import Machine
 
@@ -62,12 +62,13 @@ def prepare_past(
     in_order: Mapping[str, InOrder],
     mapping_of: Callable[[Recording], Mapping[str, str]],
     diagnosed: Sequence[Mapping[str, str]],
+    used: Collection[str],
     catalogue: Catalogue,
 ) -> tuple[dict[str, PreparedMeasurement], list[str]]:
     """Return those recordings of a machine in order that others are compared with, and what is to be said of all.
 
-    Sensors that the others do not use are left out of these; and those recordings that lack one that the others use,
-    unless all do, or whose sensors contradict each other.
+    Sensors that are not used are left out of these; and those recordings that lack one that is, unless all do, or whose
+    sensors contradict each other.
 
     Parameters
     ----------
@@ -77,6 +78,8 @@ def prepare_past(
         Gives the sensors of columns where nothing is said of a recording's own.
     diagnosed : sequence of mapping
         Sensor of each column of the others.
+    used : collection of str
+        Sensors by which these are compared; all that there are where it is empty, as of spectra.
     catalogue : Catalogue
         Of the machine.
 
@@ -87,18 +90,21 @@ def prepare_past(
     """
     machine = catalogue.machine
     scale = (catalogue.scheme, catalogue.recipe.nominal_drive_speed, catalogue.drive_speeds)
-    used = {sensor for own in diagnosed for sensor in own.values()}
+    used = set(used)
     said: list[tuple[str, str]] = []
     sound: dict[str, PreparedMeasurement] = {}
     for key, each in in_order.items():
         name = each.recording.name
-        mapping = mapping_of(each.recording) if each.mapping is None else each.mapping
+        mapping = each.mapping or mapping_of(each.recording)
+        if each.mapping is not None and not each.mapping:  # its columns are called like sensors, those that are some
+            by_name = match_by_name(each.recording.channel_names, machine)
+            mapping = {column: sensor for column, sensor in mapping.items() if column not in by_name}
         own = sensors_by_column(each.recording, machine, mapping)
         others = [column for column, sensor in own.items() if any(d.get(column, sensor) != sensor for d in diagnosed)]
         if others:
             rule = "is another sensor there than in what is compared with it, as was said of it"
             said.append((name, f"column {', '.join(others)}: {rule}"))
-        unused = {column: "" for column, sensor in own.items() if sensor not in used}
+        unused = {column: "" for column, sensor in own.items() if used and sensor not in used}
         unused = {} if len(unused) == len(own) else unused
         found = prepare(each.recording, machine, {**mapping, **unused}, each.speed, *scale)
         flawed = {flaw.text for flaw in found.flaws}
@@ -108,6 +114,7 @@ def prepare_past(
             sound[key] = found
     views = [set(each.sensing.sensors) for each in sound.values()]
     view = used if used in views else next(iter(views), used)
+    used = used or view
     for heard, own_view in zip(sound.values(), views, strict=True):
         if own_view != view:
             said.append((heard.name, f"has other sensors than {', '.join(sorted(view))}: left out"))

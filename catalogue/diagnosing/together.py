@@ -109,22 +109,24 @@ def diagnose_together(
             if len(different) > 1:
                 raise DiagnosisError(f"baseline: {recording.name}: must be none of those that are compared with it")
             warnings.append(f"baseline {recording.name}: is what is diagnosed: left out")
-    known = None
-    if in_order:
-        heard_by = [sensors_by_column(recording, catalogue.machine, own(recording)) for recording, _ in different]
-        past, told = prepare_past(in_order, own, heard_by, catalogue)
-        known = KnownMachine.of(past, catalogue) if past else None
-        warnings += told
-    shelf = library or library_of(catalogue)
-    heard = []
+    pieces = []
     for recording, speed in different:
         cut = Cut((recording,))
         if speed is None:
             cut = cut_by_speed(recording, catalogue.machine, catalogue.drive_speeds, own(recording))
             warnings += cut.left_out
-        for piece in cut.pieces:
-            prepared = prepare(piece, catalogue.machine, own(recording), speed, *scale)
-            heard.append(hear(prepared, piece.sha256, catalogue, question, shelf, known=known))
+        pieces += [
+            (prepare(piece, catalogue.machine, own(recording), speed, *scale), piece.sha256) for piece in cut.pieces
+        ]
+    known = None
+    if in_order:
+        columns_of_all = [sensors_by_column(recording, catalogue.machine, own(recording)) for recording, _ in different]
+        used = {name for prepared, _ in pieces if prepared.sensing.phases for name in prepared.sensing.sensors}
+        past, told = prepare_past(in_order, own, columns_of_all, used, catalogue)
+        known = KnownMachine.of(past, catalogue) if past else None
+        warnings += told
+    shelf = library or library_of(catalogue)
+    heard = [hear(prepared, sha256, catalogue, question, shelf, known=known) for prepared, sha256 in pieces]
     if len(heard) == 1:
         asks = question.effort != "fast"
         return tell(heard[0], catalogue, question, shelf, mapping=mapping, suggesting=asks, warnings=warnings)

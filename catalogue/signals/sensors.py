@@ -119,7 +119,7 @@ def map_sensors(
     found = {name: found[name] for name in sensors if name in found}
     if not found:
         raise MeasurementError(measurement.name, rule=f"no column is a sensor; {lists}; map them", field="mapping")
-    unused = [name for index, name in enumerate(names) if index not in found.values()]
+    unused = [name for index, name in enumerate(names) if index not in found.values() and wanted.get(name) != ""]
     warnings = [f"columns not used, as they are no sensor of {machine.name}: {', '.join(unused)}"] if unused else []
     transform, compared, channels = choose_channels(machine, tuple(found))
     if compared == tuple(found):

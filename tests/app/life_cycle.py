@@ -44,7 +44,7 @@ def diagnosed(
 
     def also(session: Session, key: str, new: bool) -> None:
         if asset is not None:
-            Assets(store.database).note(session, asset, dict.fromkeys(ids, AsRead({})), key)
+            Assets(store.database).note(session, asset, dict.fromkeys(ids, AsRead({})), key, again=not new)
 
     result = diagnosis(**members, verdict=verdict, hash=f"{verdict:0<64}")  # another answer has another one
     return store.add_diagnosis(NewDiagnosis(ids[0], catalogue, MACHINE, request, result, also)).id

@@ -23,6 +23,7 @@ from jointplay.app.schemas.assets import AssetIn
 from jointplay.app.storage.asset_rows import AssetMeasurementRow
 from jointplay.app.storage.assets import Assets, measurements_of
 from jointplay.app.storage.backup import ROWS, Place, back_up, restore
+from jointplay.app.storage.rows import MeasurementRow
 from jointplay.app.storage.store import Store
 from jointplay.app.storage.told import Told, read_told
 
@@ -50,6 +51,12 @@ def test_who_says_it_is_stored_with_it(store: Store) -> None:
     ahead = {"measured_at": (datetime.now(UTC) + timedelta(hours=1)).isoformat()}
     local = store.add_measurement(uploaded(store), "local.csv", None, ahead)
     assert (local.measured_at, local.measured_at_source) == (local.created_at, "received")
+    with store.database.writing() as session:  # an hour and more ago, so that the file's moment is over by now
+        session.get_one(MeasurementRow, local.number).created_at -= timedelta(hours=3)
+        session.get_one(MeasurementRow, local.number).measured_at -= timedelta(hours=3)
+    over = {"measured_at": (datetime.now(UTC) - timedelta(hours=1)).isoformat()}
+    again = store.add_measurement(uploaded(store), "local.csv", None, over)
+    assert (again.measured_at, again.measured_at_source) == (again.created_at, "received"), "sent again it is no later"
     later = AT + timedelta(days=1)
     said = store.add_measurement(uploaded(store), "c.csv", Told(measured_at=later), {"measured_at": AT.isoformat()})
     assert (said.measured_at, said.measured_at_source) == (later, "sender")

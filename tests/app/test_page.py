@@ -16,7 +16,11 @@ from recordings import RECORDINGS
 from small_service import spoiled
 
 from jointplay.app import main
+from jointplay.app.errors import BadFieldError
 from jointplay.app.fields import TOLD
+from jointplay.app.pages.page_forms import Beside
+from jointplay.app.storage.rows import DiagnosisRow
+from jointplay.solver.machines.machine import shipped_machine
 
 VENDOR = main.STATIC / "vendor"
 
@@ -385,6 +389,15 @@ def test_what_does_not_fit_to_a_result_is_told_beside_its_field(client: httpx.Cl
     client.delete(f"/api/v1/diagnoses/{first}").raise_for_status()
     gone = ask(client, where)
     assert gone.status_code == 422 and "deleted" in error_of(gone.text, "beside")
+
+
+def test_a_further_recording_has_the_sensors_of_each_that_stands_beside_it() -> None:
+    row = DiagnosisRow(request={"mapping": {"ch0": "s1-x", "line0": "s1-x"}})
+    beside = Beside(row, {"m1": ["ch0"], "m2": ["line0"]})
+    machine = shipped_machine("slider-crank")
+    assert beside.join_sensors({"line0": "s1-x"}, ["line0"], machine) == row.request["mapping"]
+    with pytest.raises(BadFieldError, match="column line0: is s1-y here and s1-x in m2: must be one sensor"):
+        beside.join_sensors({"line0": "s1-y"}, ["line0"], machine)
 
 
 def test_an_unknown_result_is_a_page(client: httpx.Client) -> None:

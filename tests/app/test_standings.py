@@ -14,16 +14,17 @@ from typing import Any
 import pytest
 from answers import diagnosis
 from life_cycle import diagnosed, stored
-from sqlalchemy import select, text
+from sqlalchemy import delete, select, text
 from uploaded import uploaded
 
 from jointplay.app.errors import BadFieldError, DamagedRowError
 from jointplay.app.jobs.following import gather
 from jointplay.app.schemas.assets import AssetIn, FindingIn
 from jointplay.app.schemas.webhooks import EVENTS
-from jointplay.app.storage.asset_rows import AssetRow
+from jointplay.app.storage.asset_rows import AssetDiagnosisRow, AssetRow
 from jointplay.app.storage.assets import AsRead, Assets
 from jointplay.app.storage.build_queue import BuildQueue
+from jointplay.app.storage.removal import Removal
 from jointplay.app.storage.rows import now
 from jointplay.app.storage.standings import LEASE, Due, Standings, standing_out
 from jointplay.app.storage.store import NewDiagnosis, Store
@@ -352,13 +353,43 @@ def test_a_recording_that_was_sent_by_two_names_was_made_once(stores: list[Store
     assert Standings(store.database).last_heard("press-1")[0] == february, "it was not heard when it was sent again"
 
 
-@pytest.mark.parametrize(("column", "value"), [("request", "{}"), ("made_by", "somebody else")])
+def test_in_an_asset_that_is_made_anew_what_is_asked_last_counts(stores: list[Store]) -> None:
+    store = stores[0]
+    put(store, "press-1")
+    row = stored(store)
+    first = diagnosed(store, row, asset="press-1", verdict="worn")
+    diagnosed(store, row, asset="press-1", verdict="changed")
+    Removal(store).delete_asset("press-1", "scrapped")
+    put(store, "press-1")
+    assert heard(store) == (None, None)
+    diagnosed(store, row, asset="press-1", verdict="changed")
+    diagnosed(store, row, asset="press-1", verdict="worn")
+    assert heard(store)[0] == first
+
+
+def test_an_answer_that_counts_for_the_state_of_wear_counts_for_the_standing(stores: list[Store]) -> None:
+    """One to several recordings before one to the last alone, unless it has no verdict."""
+    store = stores[0]
+    put(store, "press-1")
+    rows = [store.correct_moment(stored(store, str(day).encode()).id, NOW - timedelta(days=day)) for day in (9, 3)]
+    common = diagnosed(store, *rows, asset="press-1", verdict="worn")
+    single = diagnosed(store, rows[1], asset="press-1", verdict="in_order")
+    assert heard(store)[0] == common
+    diagnosed(store, *rows, asset="press-1", verdict="unknown")
+    assert heard(store)[0] == common
+    with store.database.writing() as session:
+        session.execute(delete(AssetDiagnosisRow).where(AssetDiagnosisRow.diagnosis == common))
+    assert heard(store)[0] == single
+
+
+@pytest.mark.parametrize(("column", "value"), [("request", "{}"), ("made_by", "somebody else"), ("result", "[")])
 def test_which_row_is_damaged_is_told_where_the_last_answer_is_sought(
     stores: list[Store], column: str, value: str
 ) -> None:
     store = stores[0]
     put(store, "press-1")
     key = diagnosed(store, stored(store), asset="press-1")
+    value = value if store.database.is_sqlite else value.replace("[", "[]")  # PostgreSQL takes no other JSON
     with store.database.engine.begin() as connection:
         connection.execute(text(f"UPDATE diagnoses SET {column} = :value"), {"value": value})
     with pytest.raises(DamagedRowError, match=f"diagnosis {key}: its row is not what was written"):

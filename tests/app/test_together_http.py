@@ -119,6 +119,17 @@ def test_what_is_no_evidence_takes_no_place_in_a_window(client: httpx.Client, mo
     assert_problem(client.post(f"{API}/diagnoses", json=body), 422, "more than 2 measurements")
 
 
+def test_what_is_sent_again_is_no_newer_recording(client: httpx.Client) -> None:
+    """In a window of time the bytes of before are not what was recorded in it."""
+    asset = "press-sent-again"
+    client.put(f"{API}/assets/{asset}", json={"machine": "slider-crank"})
+    sent(client, 2, asset, "old-", "2026-01-05T00:00:00Z")
+    sent(client, 2, asset, "again-")
+    new = sent(client, 5, asset, "new-", "2026-02-05T00:00:00Z")
+    body = {"asset": asset, "catalogue": "slider-crank", "effort": "fast", "since": "2026-02-01T00:00:00Z"}
+    assert client.post(f"{API}/diagnoses", json=body).json()["measurements"] == [new]
+
+
 def test_a_repair_is_between_two_states(client: httpx.Client) -> None:
     """Nobody has to have measured what was repaired; recordings before and after it have no common answer."""
     asset = "press-repaired"

@@ -44,7 +44,7 @@ def past_of(
     def own(recording: Recording) -> dict[str, str]:
         return {name: said for name, said in mapping.items() if name in recording.channel_names}
 
-    found, said = prepare_past(recordings_in_order(in_order), own, [diagnosed], catalogue)
+    found, said = prepare_past(recordings_in_order(in_order), own, [diagnosed], set(diagnosed.values()), catalogue)
     return list(found.values()), said
 
 
@@ -75,9 +75,20 @@ def test_each_is_read_once_by_its_own_sensors(small_catalogue: Catalogue, health
 def test_sensors_that_are_not_used_now_are_left_out(small_catalogue: Catalogue, healthy: Recording) -> None:
     (found,), said = past_of(small_catalogue, healthy, used=NAMES[:3])
     assert found.sensing.sensors == NAMES[:3]
-    assert not any("other sensors" in line for line in said)
+    assert said == [f"baseline {healthy.name}: {line}" for line in found.warnings]
+    assert not any("not used" in line for line in said)
     unlike, _ = past_of(small_catalogue, healthy, used=("s9-x",))
     assert unlike[0].sensing.sensors == NAMES
+
+
+def test_what_nobody_said_of_a_column_is_as_it_is_in_what_is_compared(
+    small_catalogue: Catalogue, healthy: Recording
+) -> None:
+    """That a recording was diagnosed by the names of its columns says nothing of those that are no sensor's."""
+    half = called(healthy, ("s1-x", "s1-y", "ch3", "ch4"))
+    used = ("s1-x", "s1-y", "ch3", "ch4")
+    (found,), said = past_of(small_catalogue, InOrder(half, {}), used=used, ch3="s2-x", ch4="s2-y")
+    assert found.sensing.sensors == NAMES and not any("sensor" in line for line in said)
 
 
 def test_one_that_lacks_a_sensor_is_left_out_unless_all_do(small_catalogue: Catalogue, healthy: Recording) -> None:
