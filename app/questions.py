@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -15,10 +16,11 @@ from jointplay.app.shelves.catalogues import CatalogueShelf, Offer
 from jointplay.app.speeds import speeds_of
 from jointplay.app.storage.asset_rows import AssetRow
 from jointplay.app.storage.assets import Assets, measurements_of
+from jointplay.app.storage.findings import Findings
 from jointplay.app.storage.remembered import Remembered
 from jointplay.app.storage.repairs import is_between
 from jointplay.app.storage.rows import MeasurementRow
-from jointplay.app.storage.standings import moments_of
+from jointplay.app.storage.standings import made_of, moments_of
 from jointplay.app.storage.store import Store
 from jointplay.catalogue.diagnosing.question import MOST_TOGETHER
 from jointplay.catalogue.signals.sensors import match_by_name
@@ -136,7 +138,7 @@ class Questions:
         with self.store.database.reading() as session:
             made = moments_of(session, asset.external_id, [row.id for row in rows])
         moments = [made.get(row.id, row.measured_at) for row in rows]
-        for found in Assets(self.store.database).findings_of(asset, MOST_LESSONS, damaged=[]):
+        for found in Findings(self.store.database).of_asset(asset, MOST_LESSONS, damaged=[]):
             repaired = sorted(name for name, told in found.joints.items() if told.get("repaired"))
             if repaired and is_between([found.at], moments):
                 said = f"joint {', '.join(repaired)} of asset {asset.external_id} was repaired on {found.at:%Y-%m-%d}"
@@ -178,10 +180,12 @@ class Questions:
             raise BadFieldError(f"until: {request.until.isoformat()}: must be after since", field="until")
         # What the others are compared with is no evidence of the present state.
         among = measurements_of(asset.external_id)
+        with self.store.database.reading() as session:
+            made = made_of(session, asset.external_id).values()
+        names = Counter(sha256 for sha256, _ in made)
+        # What was sent again in the window was made before it.
+        known |= {sha256 for sha256, moment in made if names[sha256] > 1 and moment < request.since}
         rows = self.store.measurements_between(among, *window, MOST_TOGETHER + 1, without=known)
-        with self.store.database.reading() as session:  # one that was sent again was made before
-            made = moments_of(session, asset.external_id, [row.id for row in rows])
-        rows = [row for row in rows if made[row.id] >= request.since]
         if not 1 <= len(rows) <= MOST_TOGETHER:
             count = len(rows) if len(rows) <= MOST_TOGETHER else f"more than {MOST_TOGETHER}"
             raise BadFieldError(

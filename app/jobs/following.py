@@ -14,6 +14,7 @@ from sqlalchemy import select
 from jointplay.app.errors import NothingToFollowError
 from jointplay.app.storage.asset_rows import FindingRow
 from jointplay.app.storage.assets import Assets, asked, diagnoses_of, measurements_of
+from jointplay.app.storage.findings import Findings
 from jointplay.app.storage.repairs import is_between, repairs_of
 from jointplay.app.storage.rows import DiagnosisRow, MeasurementRow
 from jointplay.app.storage.standings import MOST_VISITS, made_once, turn_of
@@ -104,7 +105,7 @@ def gather(store: Store, asset: str, up_to: DiagnosisRow | None = None) -> Life:
     diagnoses.sort(key=lambda each: turns[each.id], reverse=True)
     # Whoever diagnoses a recording for an asset notes it as one of the asset's.
     recordings = store.measurements(None, MOST_RECORDINGS, measurements_of(asset), gone=True)
-    own = assets.findings_of(row, MOST_LESSONS)
+    own = Findings(store.database).of_asset(row, MOST_LESSONS)
     made = made_once((each.id, each.sha256, each.measured_at, each.measured_at_source) for each in recordings)
     until = ENDLESS
     if up_to:
@@ -160,7 +161,7 @@ def _lessons(store: Store, machine: str, until: datetime) -> Iterator[tuple[Diag
 
     A row that is damaged teaches nothing.
     """
-    fleet = Assets(store.database).findings_of_machine(machine, MOST_LESSONS, damaged=[])
+    fleet = Findings(store.database).of_machine(machine, MOST_LESSONS, damaged=[])
     fleet = [found for found in fleet if found.at <= until]
     at_asset: dict[str | None, list[FindingRow]] = defaultdict(list)
     for found in fleet:

@@ -32,6 +32,7 @@ from jointplay.app.scopes import Scope
 from jointplay.app.service import Service, of_request
 from jointplay.app.storage.asset_rows import AssetRow
 from jointplay.app.storage.assets import Assets, asked, diagnoses_of, measurements_of
+from jointplay.app.storage.findings import Findings
 from jointplay.app.storage.repairs import is_between, repairs_of
 from jointplay.app.storage.rows import Damaged, DiagnosisRow, MeasurementRow, now
 from jointplay.app.storage.standings import Standings, moments_of, turn_of
@@ -89,7 +90,7 @@ async def state(request: Request, external_id: str) -> Response:
     service = of_request(request)
     try:
         row = await run_in_threadpool(Assets(service.store.database).asset, external_id)
-        found = await run_in_threadpool(Assets(service.store.database).findings_of, row, SHOWN)
+        found = await run_in_threadpool(Findings(service.store.database).of_asset, row, SHOWN)
         shown = show_state(await service.follow(external_id), found)
         members = {"asset": asset_item(row), "state": shown}
     except REFUSALS as error:
@@ -277,7 +278,7 @@ def past(service: Service, external_id: str, cursor: str | None) -> dict[str, An
     recordings = [each for each in own if each.summary.get("kind") != "spectrum"]  # which is no baseline
     baselines = [store.measurement(key) for key in row.in_order]
     recordings += [each for each in baselines if each.id not in {one.id for one in recordings}]
-    findings = found.findings_of(row, SHOWN + 1, damaged)
+    findings = Findings(store.database).of_asset(row, SHOWN + 1, damaged)
     colours, drawn = dict[str, float](), ""
     if diagnoses and cursor is None:
         mended = repairs_of(findings)
@@ -293,9 +294,7 @@ def past(service: Service, external_id: str, cursor: str | None) -> dict[str, An
         colours = {name: share for name, share in joint_colours(last.answer).items() if name not in repaired}
         drawn = colour_sentence(last.answer) + (f" Repaired since: {', '.join(sorted(repaired))}." if repaired else "")
     offered = [each.description.name for each in service.shelf.offers() if each.machine.name == row.machine]
-    compared = [
-        each.answer.catalogue for each in diagnoses
-    ]  # the newest first: what comes next is compared with the same
+    compared = [each.answer.catalogue for each in diagnoses]  # the last first: what comes next is compared so
     machine = service.machine_of(row.machine, external_id)
     wearing = () if machine is None else machine.wearing_joints
     limits = [(name, f"{1e6 * machine.joints[name].worn_out_from:.4g}") for name in wearing] if machine else []

@@ -22,6 +22,7 @@ from jointplay.app.schemas.retention import Reason, RetentionIn
 from jointplay.app.scopes import Scope
 from jointplay.app.service import Service, of_request
 from jointplay.app.storage.assets import Assets
+from jointplay.app.storage.findings import Findings
 from jointplay.app.storage.removal import Removal
 from jointplay.app.words import short, spell_moment
 
@@ -72,7 +73,7 @@ def show_diagnosis(service: Service, key: str) -> tuple[str, str]:
 
 def show_finding(service: Service, key: str) -> tuple[str, str]:
     """Return when something was found and where, and the page of the diagnosis before it."""
-    row = Assets(service.store.database).finding(key)
+    row = Findings(service.store.database).finding(key)
     return f"{spell_moment(row.at)} UTC, {row.asset or 'of no asset'}", f"/diagnoses/{row.diagnosis}"
 
 

@@ -17,7 +17,7 @@ from jointplay.app.routes.asset_pages import answer_page
 from jointplay.app.routes.pages import REFUSALS, refuse
 from jointplay.app.schemas.assets import FindingIn
 from jointplay.app.service import Service, of_request
-from jointplay.app.storage.assets import Assets, wearing_in
+from jointplay.app.storage.findings import Findings, wearing_in
 from jointplay.app.storage.rows import now
 from jointplay.solver.machines.units import LENGTH
 
@@ -47,7 +47,7 @@ async def enter(request: Request, key: str) -> Response:
     try:
         row = await run_in_threadpool(store.diagnosis, key)
         given.update(await plain_form(request))
-        await run_in_threadpool(Assets(store.database).add_finding, row, read_finding(given))
+        await run_in_threadpool(Findings(store.database).add, row, read_finding(given))
     except REFUSALS as error:
         problem = problem_from(error)
         try:

@@ -18,7 +18,7 @@ from jointplay.app.schemas.assets import FindingIn, FindingOut, FindingPage, Joi
 from jointplay.app.schemas.resources import DamagedItem
 from jointplay.app.service import Service, of_request
 from jointplay.app.storage.asset_rows import FindingRow
-from jointplay.app.storage.assets import Assets
+from jointplay.app.storage.findings import Findings
 from jointplay.app.storage.idempotency import IdempotencyKey, once
 from jointplay.app.storage.rows import Damaged
 from jointplay.app.words import Moment
@@ -44,7 +44,7 @@ async def report_back(request: Request, key: str, found: FindingIn, idempotency_
     store = of_request(request).store
 
     def kept() -> FindingRow:
-        return Assets(store.database).add_finding(store.diagnosis(key), found)
+        return Findings(store.database).add(store.diagnosis(key), found)
 
     async def answered() -> Response:
         row = await run_in_threadpool(kept)
@@ -68,7 +68,7 @@ def findings(
     size = limit or service.settings.page_size
     only = {"diagnosis": diagnosis, "asset": asset}
     found: list[Damaged] = []
-    rows = Assets(service.store.database).findings(paging.decode_number(cursor), size + 1, since, only, found)
+    rows = Findings(service.store.database).page(paging.decode_number(cursor), size + 1, since, only, found)
     shown, damaged, following = paging.cut_around(rows, found, size)
     items = [finding_out(row) for row in shown]
     return FindingPage(items=items, damaged=damaged_out(service, damaged), next_cursor=following)
@@ -77,7 +77,7 @@ def findings(
 @router.get("/findings/{key}", response_model=FindingOut, responses=problems(404, 410))
 async def finding(request: Request, key: str) -> Response:
     """Return a finding again."""
-    row = await run_in_threadpool(Assets(of_request(request).store.database).finding, key)
+    row = await run_in_threadpool(Findings(of_request(request).store.database).finding, key)
     return respond(request, Response(finding_out(row).model_dump_json(), media_type=JSON_TYPE), row.id)
 
 

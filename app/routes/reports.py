@@ -23,6 +23,7 @@ from jointplay.app.reports.figures import ReportFigures, figures_of
 from jointplay.app.reports.trend import trend_svg
 from jointplay.app.service import Service, of_request
 from jointplay.app.storage.assets import Assets
+from jointplay.app.storage.findings import Findings
 from jointplay.app.storage.rows import DiagnosisRow
 from jointplay.catalogue.following.state import WearState
 from jointplay.solver.machines.machine import parse_machine
@@ -94,12 +95,12 @@ def find_report(
     """Return what the report of a stored diagnosis says and shows, the response of the frame drawn already."""
     measurement, gone = service.store.measurement_of(row), service.store.deleted_of(row)
     asset = row.request.get("asset")
-    assets = Assets(service.store.database)
-    known = assets.known(asset) if asset else None
+    database = service.store.database
+    known = Assets(database).known(asset) if asset else None
     notes = known.notes if known else ""
     if past is None or known is None:
         return report_of(row, measurement, asset, notes, gone), figures_of(row, response)
-    findings = [each for each in assets.findings_of(known, MOST_LESSONS) if each.at <= past.at]
+    findings = [each for each in Findings(database).of_asset(known, MOST_LESSONS) if each.at <= past.at]
     drawn = chart(past, findings)
     trend = trend_svg(drawn["data"]) if drawn else ""
     return report_of(row, measurement, asset, notes, gone, past_words(past)), figures_of(row, response, trend)

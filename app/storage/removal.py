@@ -28,8 +28,9 @@ from jointplay.app.storage.asset_rows import (
     AssetRow,
     FindingRow,
 )
-from jointplay.app.storage.assets import Assets, about_asset, about_finding, deleted_meanwhile, measurements_of, touch
+from jointplay.app.storage.assets import Assets, about_asset, deleted_meanwhile, measurements_of, touch
 from jointplay.app.storage.build_queue import ENDED, BuildDeathsRow, BuildQueue, BuildRow, about_build
+from jointplay.app.storage.findings import Findings, about_finding
 from jointplay.app.storage.machine_store import MachineStore
 from jointplay.app.storage.remembered import RememberedRow
 from jointplay.app.storage.retention import hold_rows, kept_of, refuse_held
@@ -156,7 +157,7 @@ class Removal:
         InUseError
             When the recording that it teaches of is on hold.
         """
-        found = Assets(self._database).finding(key)
+        found = Findings(self._database).finding(key)
         row = self._store.diagnosis(found.diagnosis)
         with self._database.writing() as session:
             refuse_held(session, row.measurements)

@@ -226,7 +226,16 @@ class Standings:
 
 
 def moments_of(session: Session, external_id: str, which: Collection[str] | None = None) -> dict[str, datetime]:
-    """Return when the recordings of an asset were made, by their ids; all, or those of the bytes that some have.
+    """Return when the recordings of an asset were made, by their ids, as :func:`made_of`."""
+    return {key: moment for key, (_, moment) in made_of(session, external_id, which).items()}
+
+
+def made_of(
+    session: Session, external_id: str, which: Collection[str] | None = None
+) -> dict[str, tuple[str, datetime]]:
+    """Return the bytes of the recordings of an asset by their ids, and when they were made.
+
+    All, or those of the bytes that some of them have.
 
     Raises
     ------
@@ -234,11 +243,10 @@ def moments_of(session: Session, external_id: str, which: Collection[str] | None
     """
     query = select(MeasurementRow).where(MeasurementRow.id.in_(measurements_of(external_id)))
     if which is not None:
-        query = query.where(
-            MeasurementRow.sha256.in_(select(MeasurementRow.sha256).where(MeasurementRow.id.in_(which)))
-        )
+        alike = select(MeasurementRow.sha256).where(MeasurementRow.id.in_(which))
+        query = query.where(MeasurementRow.sha256.in_(alike))
     columns = (MeasurementRow.id, MeasurementRow.sha256, MeasurementRow.measured_at, MeasurementRow.measured_at_source)
-    return {key: moment for key, (_, moment) in made_once(read_columns(session, query, *columns)).items()}
+    return made_once(read_columns(session, query, *columns))
 
 
 def made_once(recordings: Iterable[tuple[str, str, datetime, str]]) -> dict[str, tuple[str, datetime]]:

@@ -13,6 +13,7 @@ from sqlalchemy.orm import Session
 
 from jointplay.app.schemas.assets import FindingIn
 from jointplay.app.storage.assets import AsRead, Assets
+from jointplay.app.storage.findings import Findings
 from jointplay.app.storage.pruning import Pruner
 from jointplay.app.storage.retention import kept_of
 from jointplay.app.storage.rows import MeasurementRow, now
@@ -52,7 +53,7 @@ def diagnosed(
 
 def found(store: Store, diagnosis: str) -> str:
     said = FindingIn.model_validate({"joints": {"A": {"clearance_um": 140}}, "at": "2026-11-21T10:30:00Z"})
-    return Assets(store.database).add_finding(store.diagnosis(diagnosis), said).id
+    return Findings(store.database).add(store.diagnosis(diagnosis), said).id
 
 
 def class_of(store: Store, row: MeasurementRow) -> str:

@@ -24,6 +24,7 @@ from jointplay.app.storage import audit
 from jointplay.app.storage.assets import Assets
 from jointplay.app.storage.audit import AuditLog, AuditRow
 from jointplay.app.storage.build_queue import BuildQueue
+from jointplay.app.storage.findings import Findings
 from jointplay.app.storage.keys import Keys
 from jointplay.app.storage.rows import now
 from jointplay.app.storage.store import NewDiagnosis, Store
@@ -70,7 +71,7 @@ def test_every_change_is_noted_with_who_made_it(store: Store) -> None:
         put(store, "hall B")
         asked = store.add_diagnosis(NewDiagnosis(kept.id, "c" * 64, MACHINE, {"asset": None}, diagnosis()))
         store.add_diagnosis(NewDiagnosis(kept.id, "c" * 64, MACHINE, {"asset": None}, diagnosis()))
-        found = Assets(store.database).add_finding(
+        found = Findings(store.database).add(
             asked, FindingIn.model_validate({"at": "2026-03-01T06:00:00Z", "text": "in order"})
         )
         hook = Webhooks(store.database).add("https://user:secret@example.org/path-secret", ["build.ended"])

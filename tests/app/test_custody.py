@@ -22,6 +22,7 @@ from jointplay.app.jobs import tasks
 from jointplay.app.schemas.assets import AssetIn, FindingIn
 from jointplay.app.storage.assets import Assets
 from jointplay.app.storage.checksums import Document
+from jointplay.app.storage.findings import Findings
 from jointplay.app.storage.recording_files import read_bytes
 from jointplay.app.storage.rows import Damaged, now
 from jointplay.app.storage.standings import Standings
@@ -99,7 +100,7 @@ def everything(store: Store) -> dict[str, str]:
     measurement, _ = kept(store)
     Assets(store.database).put("press-7", AssetIn.model_validate({"machine": "m", "baseline": measurement}))
     asked = store.add_diagnosis(NewDiagnosis(measurement, "c" * 64, MACHINE, {"asset": None}, diagnosis()))
-    found = Assets(store.database).add_finding(
+    found = Findings(store.database).add(
         asked, FindingIn.model_validate({"at": "2026-03-01T06:00:00Z", "text": "in order"})
     )
     return {"measurements": measurement, "assets": "press-7", "diagnoses": asked.id, "findings": found.id}
@@ -112,11 +113,11 @@ def execute(store: Store, statement: str) -> None:
 
 def readers(store: Store) -> dict[str, tuple[Callable[[str], object], Callable[[list[Damaged] | None], list[Any]]]]:
     """How one row of each kind is read, and how all are."""
-    assets = Assets(store.database)
+    assets, findings = Assets(store.database), Findings(store.database)
     return {
         "measurements": (store.measurement, lambda found: store.measurements(None, 9, damaged=found)),
         "diagnoses": (store.diagnosis, lambda found: store.diagnoses(None, 9, damaged=found)),
-        "findings": (assets.finding, lambda found: assets.findings(None, 9, damaged=found)),
+        "findings": (findings.finding, lambda found: findings.page(None, 9, damaged=found)),
         "assets": (assets.asset, lambda found: assets.page(None, 9, damaged=found)),
     }
 

@@ -26,6 +26,7 @@ from jointplay.app.schemas.assets import AssetIn, FindingIn
 from jointplay.app.storage.assets import Assets
 from jointplay.app.storage.backup import TABLES
 from jointplay.app.storage.database import REVISION, VERSION_TABLE, database_url, revision_of
+from jointplay.app.storage.findings import Findings
 from jointplay.app.storage.keys import Keys
 from jointplay.app.storage.rows import DiagnosisRow, now
 from jointplay.app.storage.standings import Standings
@@ -163,7 +164,7 @@ def test_rows_of_revision_3_get_their_checksums(store: Store, url: str, tmp_path
     Assets(store.database).put("press-7", AssetIn.model_validate(wanted))
     Assets(store.database).put("press-8", AssetIn.model_validate({"machine": "m"}))
     asked = store.add_diagnosis(NewDiagnosis(keys[2], "c" * 64, MACHINE, {"asset": None}, diagnosis()))
-    Assets(store.database).add_finding(
+    Findings(store.database).add(
         asked, FindingIn.model_validate({"at": "2026-03-01T06:00:00.123Z", "joints": {"B": {"clearance_um": 12.5}}})
     )
     with closing(connected(url)) as database, database.transaction() as connection:
@@ -174,7 +175,7 @@ def test_rows_of_revision_3_get_their_checksums(store: Store, url: str, tmp_path
         assert [row.id for row in opened.measurements(None, 9)] == keys[::-1]
         assert [row.in_order for row in assets.page(None, 9)] == [(), tuple(keys[:2])]
         assert opened.diagnosis(asked.id).answer == diagnosis()
-        assert [row.made_by for row in assets.findings(None, 9)] == [None]
+        assert [row.made_by for row in Findings(store.database).page(None, 9)] == [None]
 
 
 def test_who_stored_a_recording_is_said_once_from_revision_5_on(store: Store, url: str, tmp_path: Path) -> None:

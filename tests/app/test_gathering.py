@@ -14,6 +14,7 @@ from jointplay.app.errors import DamagedRowError, NothingToFollowError
 from jointplay.app.jobs.following import Life, follow_life, gather
 from jointplay.app.schemas.assets import AssetIn, FindingIn
 from jointplay.app.storage.assets import Assets
+from jointplay.app.storage.findings import Findings
 from jointplay.app.storage.rows import MeasurementRow
 from jointplay.app.storage.store import Store
 from jointplay.solver.machines.machine import shipped_machine
@@ -38,7 +39,7 @@ def recorded(store: Store, content: str, days: float = 0.0) -> MeasurementRow:
 def found(store: Store, diagnosis: str, days: float, **joint: bool) -> str:
     """What was found some days after the first of March."""
     said = {"joints": {"A": {"clearance_um": 140, **joint}}, "at": (MARCH + timedelta(days=days)).isoformat()}
-    return Assets(store.database).add_finding(store.diagnosis(diagnosis), FindingIn.model_validate(said)).id
+    return Findings(store.database).add(store.diagnosis(diagnosis), FindingIn.model_validate(said)).id
 
 
 def heard(store: Store) -> list[tuple[float, int]]:

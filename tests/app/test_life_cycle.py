@@ -34,6 +34,7 @@ from jointplay.app.storage import retention
 from jointplay.app.storage.assets import Assets
 from jointplay.app.storage.audit import AuditLog
 from jointplay.app.storage.build_queue import BuildDeathsRow, BuildQueue
+from jointplay.app.storage.findings import Findings
 from jointplay.app.storage.machine_store import MachineStore
 from jointplay.app.storage.removal import GOING, Removal
 from jointplay.app.storage.rows import MeasurementRow, now
@@ -147,10 +148,10 @@ def test_evidence_that_is_said_to_be_routine_may_go(store: Store) -> None:
     Removal(store).delete_measurement(row.id, "")
     Removal(store).delete_finding(finding, "")
     with pytest.raises(DeletedError, match=f"finding {finding}"):
-        Assets(store.database).finding(finding)
+        Findings(store.database).finding(finding)
     Removal(store).delete_diagnosis(key, "")
     assert found(store, diagnosed(store, stored(store))) == finding  # all of it may come again
-    assert Assets(store.database).finding(finding).diagnosis == store.diagnosis(key).id
+    assert Findings(store.database).finding(finding).diagnosis == store.diagnosis(key).id
 
 
 def test_an_asset_leaves_its_recordings(store: Store) -> None:
@@ -159,7 +160,7 @@ def test_an_asset_leaves_its_recordings(store: Store) -> None:
     assets.put("press-7", AssetIn(machine="press", baselines=[row.id]))
     key = diagnosed(store, row, asset="press-7")
     finding = found(store, key)
-    assert [each.id for each in assets.findings_of_machine("press", 5)] == [finding]
+    assert [each.id for each in Findings(store.database).of_machine("press", 5)] == [finding]
     retention.say(store.database, row.id, None, "claim 7")
     with pytest.raises(InUseError, match="claim 7"):
         Removal(store).delete_asset("press-7", "")
@@ -170,8 +171,9 @@ def test_an_asset_leaves_its_recordings(store: Store) -> None:
     assert store.measurement(row.id).id == store.diagnosis(key).measurement == row.id
     assert assets.put("press-7", AssetIn(machine="press"))[1]
     assert assets.asset("press-7").in_order == ()
-    assert assets.finding(finding).asset == "press-7"
-    assert assets.findings_of(assets.asset("press-7"), 5) == assets.findings_of_machine("press", 5) == []
+    findings = Findings(store.database)
+    assert findings.finding(finding).asset == "press-7"
+    assert findings.of_asset(assets.asset("press-7"), 5) == findings.of_machine("press", 5) == []
 
 
 def test_an_asset_that_is_deleted_while_something_works_for_it(store: Store) -> None:

@@ -19,6 +19,7 @@ from jointplay.app.problems import problem_of
 from jointplay.app.schemas.assets import AssetIn, FindingIn
 from jointplay.app.storage.asset_rows import AssetRow
 from jointplay.app.storage.assets import Assets
+from jointplay.app.storage.findings import Findings
 from jointplay.app.storage.rows import now
 from jointplay.app.storage.standings import Standings, standing_out
 from jointplay.app.storage.store import Store
@@ -196,7 +197,7 @@ def test_an_answer_across_a_repair_alone_says_nothing_of_an_asset(store: Store) 
     rows = [store.correct_moment(stored(store, str(day).encode()).id, day) for day in days]
     key = diagnosed(store, *rows, asset="press-8", verdict="worn")
     said = {"joints": {"A": {"repaired": True}}, "at": (now() - timedelta(days=2)).isoformat()}
-    Assets(store.database).add_finding(store.diagnosis(key), FindingIn.model_validate(said))
+    Findings(store.database).add(store.diagnosis(key), FindingIn.model_validate(said))
     assert step(keeper_of(store, KeyError("is not asked")))
     row = Assets(store.database).asset("press-8")
     assert (row.state, [reason.about for reason in row.judged]) == ("unknown", ["wear"])
@@ -226,7 +227,7 @@ def test_another_date_of_what_teaches_makes_all_of_the_kind_due(store: Store, ha
     key = diagnosed(store, measured, asset="press-1")
     if has_finding:
         found = {"joints": {"A": {"clearance_um": 140}}, "at": now().isoformat()}
-        assets.add_finding(store.diagnosis(key), FindingIn.model_validate(found))
+        Findings(store.database).add(store.diagnosis(key), FindingIn.model_validate(found))
     before = assets.asset("press-2").changes
     store.correct_moment(measured.id, now() - timedelta(days=3))
     assert assets.asset("press-2").changes - before == has_finding

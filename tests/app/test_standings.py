@@ -24,6 +24,7 @@ from jointplay.app.schemas.webhooks import EVENTS
 from jointplay.app.storage.asset_rows import AssetDiagnosisRow, AssetRow
 from jointplay.app.storage.assets import AsRead, Assets
 from jointplay.app.storage.build_queue import BuildQueue
+from jointplay.app.storage.findings import Findings
 from jointplay.app.storage.removal import Removal
 from jointplay.app.storage.rows import now
 from jointplay.app.storage.standings import LEASE, Due, Standings, standing_out
@@ -292,7 +293,7 @@ def test_whatever_counts_makes_an_asset_due(stores: list[Store]) -> None:
     assert settled().changes == before.changes + 3, "the same again is nothing new"
     other = settled("press-8")
     for _ in range(2):
-        assets.add_finding(answered, FindingIn(text="bush worn", at=NOW.isoformat()))
+        Findings(store.database).add(answered, FindingIn(text="bush worn", at=NOW.isoformat()))
     assert settled().changes == before.changes + 4
     assert settled("press-8").changes == other.changes + 1, "findings teach about all machines of a kind"
     assert Standings(store.database).last_heard("press-7")[0] == NOW - timedelta(days=3)
@@ -318,7 +319,7 @@ def test_the_last_of_several_recordings_says_which_answer_is_the_last(stores: li
     again = diagnosed(store, rows[2], rows[0], asset="press-1")
     assert heard(store) == (again, march), "the newest answer to the last recording"
     said = {"joints": {"A": {"clearance_um": 140, "repaired": True}}, "at": (march - timedelta(days=1)).isoformat()}
-    Assets(store.database).add_finding(store.diagnosis(single), FindingIn.model_validate(said))
+    Findings(store.database).add(store.diagnosis(single), FindingIn.model_validate(said))
     assert heard(store) == (single, february), "those of before and after a repair are of no state"
 
 

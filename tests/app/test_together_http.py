@@ -119,13 +119,15 @@ def test_what_is_no_evidence_takes_no_place_in_a_window(client: httpx.Client, mo
     assert_problem(client.post(f"{API}/diagnoses", json=body), 422, "more than 2 measurements")
 
 
-def test_what_is_sent_again_is_no_newer_recording(client: httpx.Client) -> None:
-    """In a window of time the bytes of before are not what was recorded in it."""
+def test_what_is_sent_again_is_no_newer_recording(client: httpx.Client, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a window of time the bytes of before are not what was recorded in it, and take no place there."""
+    monkeypatch.setattr("jointplay.app.questions.MOST_TOGETHER", 1)
     asset = "press-sent-again"
     client.put(f"{API}/assets/{asset}", json={"machine": "slider-crank"})
     sent(client, 2, asset, "old-", "2026-01-05T00:00:00Z")
-    sent(client, 2, asset, "again-")
-    new = sent(client, 5, asset, "new-", "2026-02-05T00:00:00Z")
+    for prefix in ("again-", "and-again-"):
+        sent(client, 2, asset, prefix)
+    new = sent(client, 5, asset, "new-")
     body = {"asset": asset, "catalogue": "slider-crank", "effort": "fast", "since": "2026-02-01T00:00:00Z"}
     assert client.post(f"{API}/diagnoses", json=body).json()["measurements"] == [new]
 

@@ -20,6 +20,7 @@ import jointplay.app.storage.webhooks
 from jointplay.app.jobs.webhook_sender import WebhookSender
 from jointplay.app.schemas.assets import AssetIn, FindingIn
 from jointplay.app.storage.assets import Assets
+from jointplay.app.storage.findings import Findings
 from jointplay.app.storage.rows import now
 from jointplay.app.storage.store import NewDiagnosis, Store
 from jointplay.app.storage.webhooks import LEASE, Taken, Webhooks
@@ -130,7 +131,7 @@ def test_the_same_finding_sent_to_both_is_told_once(stores: list[Store]) -> None
 
     def finder(store: Store, text: str) -> Callable[[], str]:
         said = FindingIn.model_validate({"text": text, "at": "2026-03-01T08:00:00Z"})
-        return lambda: Assets(store.database).add_finding(row, said).id
+        return lambda: Findings(store.database).add(row, said).id
 
     for number in range(8):
         assert len(set(at_once([finder(store, f"bush {number}") for store in stores]))) == 1
